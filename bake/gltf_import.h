@@ -1,0 +1,20 @@
+// glTF 2.0 (.gltf, .glb) to Scene. The only file that sees tinygltf and Draco's decoder.
+#pragma once
+#include <cstdint>
+#include <string>
+
+#include "bake/scene.h"
+
+namespace ff::bake {
+
+struct ImportLimits {
+  uint64_t max_memory_bytes = uint64_t{1536} << 20;  // of decoded buffers, images and triangles together
+  uint64_t max_triangles = 200'000'000;
+};
+
+// Loads the default scene (scene 0 where none is named; all root nodes where there are no scenes). Things a radiosity
+// baker does not use (cameras, animation, skins, normals, morph targets) are not read. Missing images are warnings.
+// Errors name file, place ("accessor 3") and fault; kIo, kInvalidFile. Never throws.
+Result<Scene> importGltf(const std::string& path, const ImportLimits& limits = {});
+
+}  // namespace ff::bake

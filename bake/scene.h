@@ -1,0 +1,58 @@
+// A scene as the baker sees it: world-space triangles in metres, flat materials, images. No third-party types.
+// Whatever leaves the importer holds: finite coordinates, vertex numbers < positions.size(), material numbers
+// < materials.size(), image numbers < images.size() or kNone, no degenerate (zero-area) triangles.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "formats/result.h"
+#include "formats/vec3.h"
+
+namespace ff::bake {
+
+inline constexpr uint32_t kNone = 0xffffffffu;
+
+struct Vec2 {
+  float x = 0, y = 0;
+};
+
+// 8-bit RGBA as stored; colour channels are sRGB-encoded, alpha is linear.
+struct Image {
+  uint32_t width = 0, height = 0;
+  std::vector<uint8_t> rgba;
+};
+
+struct Material {
+  std::string name;
+  Vec3 base_color{1, 1, 1};      // linear factor
+  float alpha = 1;               // factor
+  float metallic = 1;            // diffuse albedo = base colour * (1 - metallic)
+  Vec3 emission;                 // radiance factor, W/(m2 sr): emissiveFactor * KHR_materials_emissive_strength
+  uint32_t base_image = kNone;   // multiplies base_color and alpha; texture coordinates are Scene::uv0
+  uint32_t emission_image = kNone;  // multiplies emission; Scene::uv1 (already chosen and transformed by the importer)
+  bool repeat = true;            // wrap mode of both images: repeat (mirrored counts as repeat) or clamp
+  bool double_sided = false;
+  bool cutout = false;           // alphaMode MASK, or BLEND taken as MASK at 0.5
+  float alpha_cutoff = 0.5f;
+};
+
+struct Triangle {
+  std::array<uint32_t, 3> v{};
+  uint32_t material = 0;
+};
+
+struct Scene {
+  std::string name;                 // file name without folders
+  std::vector<Vec3> positions;      // m, world space
+  std::vector<Triangle> triangles;  // counter-clockwise seen from the front (mirrored nodes are already flipped)
+  std::vector<Vec2> uv0;            // base colour, KHR_texture_transform applied; one per position, or empty
+  std::vector<Vec2> uv1;            // emission, likewise
+  std::vector<Material> materials;
+  std::vector<Image> images;
+  std::vector<std::string> warnings;
+  std::array<uint8_t, 16> content_hash{};  // XXH3-128 of the above arrays: part of the bake key
+};
+
+}  // namespace ff::bake

@@ -1,0 +1,108 @@
+// The words of the format in memory: nodes, strips, tiles, levels, worlds. FORMAT.md is the normative description of the
+// bytes; strip_codec, manifest, reader and writer are the only places that turn one into the other.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "formats/vec3.h"
+
+namespace ff::formats {
+
+inline constexpr uint16_t kFormatVersion = 1;        // written, and the newest that this reader understands
+inline constexpr uint32_t kTileNodes = 256;          // nodes of a tile, at most: rows and columns are then one byte each
+inline constexpr uint32_t kMaxLevels = 16;
+inline constexpr uint32_t kMaxQuanta = 65535;        // counts are u16
+inline constexpr uint32_t kNoParent = 0xffffffffu;
+inline constexpr uint64_t kShardHeaderBytes = 4096;
+
+// A tile of one level. Level 0 holds the patches.
+struct TileId {
+  uint32_t level = 0;
+  uint32_t tile = 0;
+  friend bool operator==(const TileId&, const TileId&) = default;
+  friend auto operator<=>(const TileId&, const TileId&) = default;
+};
+
+// A patch (level 0) or a cluster of nodes of the level below. Nodes of a level are numbered in Hilbert order; siblings
+// (nodes with one parent) are consecutive and lie in one tile; parents are in the same order as their first children.
+struct Node {
+  float area_m2 = 0;
+  Vec3 centroid;             // m
+  Vec3 normal;               // unit area-weighted mean; zero where the pieces cancel
+  Vec3 albedo;               // diffuse, 0..1, linear RGB
+  Vec3 emission;             // M, radiosity emitted, W/m2, linear RGB
+  uint32_t parent = kNoParent;  // node number at level + 1
+  // The row's closure: sum of the entries' counts + sky + absorbed == quanta, exactly.
+  uint32_t quanta = 0;       // Q
+  uint32_t sky = 0;          // quanta that reach the sky
+  uint32_t absorbed = 0;     // quanta lost: back faces
+  Vec3 sky_direction;        // mean direction of the rays that reach the sky, length <= 1: a sky of radiance
+                             // L(w) = L0 + dot(L1, w) gives irradiance pi * sky/quanta * (L0 + dot(L1, sky_direction))
+};
+
+// The entries of a strip whose columns lie in one partner tile (of the strip's own level).
+struct Block {
+  uint32_t partner_tile = 0;
+  uint32_t entries = 0;
+};
+
+// All rows of one tile. Entries are sorted by (partner tile, row, column); blocks follow each other in `rows`, `columns`
+// and `counts`. Form factor of an entry: F = count / nodes[row].quanta, receiver = row, source = column.
+struct Strip {
+  TileId id;
+  uint32_t first_node = 0;        // number of nodes[0] within its level
+  std::vector<Node> nodes;        // 1..kTileNodes
+  std::vector<Block> blocks;      // partner_tile ascending, entries > 0
+  std::vector<uint8_t> rows;      // index into nodes
+  std::vector<uint8_t> columns;   // index into the partner tile's nodes
+  std::vector<uint16_t> counts;   // >= 1
+};
+
+// Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres.
+struct TileGeometry {
+  uint32_t tile = 0;
+  std::vector<Vec3> positions;      // 3 per triangle
+  std::vector<uint8_t> patch;       // one per triangle: index of the patch in the tile
+};
+
+// Where a strip lies and what it covers; one fixed-size record in the shard's index.
+struct TileInfo {
+  TileId id;
+  uint32_t shard = 0;            // index into World::shards
+  uint64_t offset = 0;           // of the strip's header, bytes from the start of the shard
+  uint32_t stored_bytes = 0;     // header and compressed payload
+  uint32_t raw_bytes = 0;        // payload after decompression
+  uint32_t first_node = 0;
+  uint32_t nodes = 0;
+  uint32_t entries = 0;
+  Box bounds;                    // m, of the tile's patches (surfaces, not just centroids)
+};
+
+struct LevelInfo {
+  uint32_t nodes = 0;
+  uint32_t tiles = 0;
+  uint64_t entries = 0;
+  uint64_t stored_bytes = 0;     // strips and their index records
+  float cell_m = 0;              // edge of this level's grid cell
+};
+
+// What the baker was told and what it measured; the head of the manifest.
+struct WorldInfo {
+  float cell_m = 1;              // patch size
+  Vec3 grid_origin;              // corner of level-0 cell (0,0,0); cell = floor((p - origin) / cell_m)
+  Box bounds;                    // m
+  uint32_t rays = 0;             // per patch
+  uint32_t quanta = 0;           // Q asked for
+  uint64_t seed = 0;
+  std::array<uint8_t, 16> bake_key{};   // XXH3-128 of scene bytes, settings and code version
+  std::string generator;         // "ffbake 0.1.0"
+  std::string scene;             // file name without folders
+  float row_total_deviation = 0; // largest |1 - sum of a row before it was scaled to Q|: the slack of reciprocity
+  double area_m2 = 0;
+  uint64_t triangles = 0;
+  double absorbed_fraction = 0;  // area-weighted: leak diagnostic
+};
+
+}  // namespace ff::formats

@@ -1,0 +1,52 @@
+// Keeps the strips near the observer in memory. update() runs on the frame thread and never blocks: it takes what has
+// arrived, asks for what is missing (nearest deadline first) and evicts what is no longer wanted. Reading, checking and
+// decoding happen on other threads. The coarsest level is loaded by create() and never leaves.
+#pragma once
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "formats/reader.h"
+#include "stream/tile_source.h"
+
+namespace ff::stream {
+
+struct StreamSettings {
+  float radius_m = 24;             // r_0: a level-0 tile is wanted when its bounds are nearer than this
+  float growth = 1.6f;             // g: r_l = r_0 * g^l
+  float hysteresis = 1.15f;        // a tile stays wanted until its distance exceeds radius * hysteresis
+  uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
+  uint32_t max_level0_nodes = 0xffffffffu;      // likewise, for active patches
+  uint32_t max_nodes = 65536;                   // of all wanted tiles together: slots are 16 bits
+  int decode_threads = 1;
+  int queue_depth = 8;
+};
+
+struct StreamStats {
+  uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
+  uint64_t resident_bytes = 0, peak_resident_bytes = 0;
+  uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
+};
+
+using StripPtr = std::shared_ptr<const formats::Strip>;
+
+class Streamer {
+ public:
+  // The world must outlive the streamer. source: null takes the world's own shards (io_uring, else threads; probed).
+  static Result<std::unique_ptr<Streamer>> create(const formats::World& world, const StreamSettings& settings,
+                                                  std::unique_ptr<TileSource> source = nullptr);
+  virtual ~Streamer() = default;
+
+  // observer: m; velocity: m/s (orders the queue by the time of need). Returns true if the active set has changed.
+  virtual bool update(Vec3 observer, Vec3 velocity) = 0;
+  // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and the tiles of all
+  // its nodes' parents are active: so the ancestors of an active node are active too. Valid until the next update();
+  // the strips themselves live as long as someone holds them.
+  virtual std::span<const StripPtr> active() const = 0;
+  // Blocks until nothing is pending for the last observer (tests, headless pictures), calling update() as it goes.
+  virtual Result<void> settle() = 0;
+  virtual StreamStats stats() const = 0;
+};
+
+}  // namespace ff::stream

@@ -1,0 +1,23 @@
+// Where stored strips come from: a world's shards, memory, or a faulty twin for tests. Asynchronous: read() returns at
+// once and the bytes arrive on another thread.
+#pragma once
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+#include "formats/layout.h"
+#include "formats/result.h"
+
+namespace ff::stream {
+
+class TileSource {
+ public:
+  using Done = std::function<void(formats::TileId, Result<std::vector<std::byte>>)>;
+  virtual ~TileSource() = default;
+  // Calls `done` exactly once, from any thread but never from inside read(). A request cannot be taken back once it is
+  // in flight; the streamer cancels by dropping what is still queued on its side.
+  virtual void read(formats::TileId id, Done done) = 0;
+  virtual const char* name() const = 0;  // "io_uring", "threads", "memory"
+};
+
+}  // namespace ff::stream
