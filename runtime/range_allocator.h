@@ -1,0 +1,53 @@
+// Hands out ranges of one block: first fit over a list of free ranges in order of offset, neighbours merge when freed.
+// The bookkeeping of VkHeap, without Vulkan.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+namespace ff::runtime {
+
+class RangeAllocator {
+ public:
+  explicit RangeAllocator(uint64_t size) : size_(size), free_{{0, size}} {}
+
+  // Offset of `size` units at a multiple of `alignment` (a power of two); nothing if no free range is large enough.
+  std::optional<uint64_t> allocate(uint64_t size, uint64_t alignment) {
+    for (size_t i = 0; i < free_.size(); ++i) {
+      const Range r = free_[i];
+      const uint64_t at = (r.begin + alignment - 1) & ~(alignment - 1);
+      if (at + size > r.end) continue;
+      free_.erase(free_.begin() + static_cast<std::ptrdiff_t>(i));
+      if (at + size < r.end) free_.insert(free_.begin() + static_cast<std::ptrdiff_t>(i), {at + size, r.end});
+      if (r.begin < at) free_.insert(free_.begin() + static_cast<std::ptrdiff_t>(i), {r.begin, at});
+      return at;
+    }
+    return std::nullopt;
+  }
+
+  // Gives back exactly what allocate() returned.
+  void release(uint64_t offset, uint64_t size) {
+    size_t i = 0;
+    while (i < free_.size() && free_[i].begin < offset) ++i;
+    free_.insert(free_.begin() + static_cast<std::ptrdiff_t>(i), {offset, offset + size});
+    if (i + 1 < free_.size() && free_[i].end == free_[i + 1].begin) {
+      free_[i].end = free_[i + 1].end;
+      free_.erase(free_.begin() + static_cast<std::ptrdiff_t>(i) + 1);
+    }
+    if (i > 0 && free_[i - 1].end == free_[i].begin) {
+      free_[i - 1].end = free_[i].end;
+      free_.erase(free_.begin() + static_cast<std::ptrdiff_t>(i));
+    }
+  }
+
+  bool empty() const { return free_.size() == 1 && free_[0].begin == 0 && free_[0].end == size_; }
+
+ private:
+  struct Range {
+    uint64_t begin, end;
+  };
+  uint64_t size_;
+  std::vector<Range> free_;
+};
+
+}  // namespace ff::runtime

@@ -1,0 +1,28 @@
+// A Vulkan device to run on, without vulkan.h: for callers that only want a Solver. vk_device.h is the inside.
+#pragma once
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "formats/result.h"
+
+namespace ff::runtime {
+
+struct VulkanChoice {
+  std::string device = "auto";  // "auto": discrete, integrated, virtual, CPU in that order; "cpu": a software device
+                                // (lavapipe); else part of a device's name, any case
+  bool validate = false;        // Khronos layer with synchronisation validation; messages are kept, see below
+  bool gpu_assisted = false;    // with validate: also instruments the shaders (slow)
+};
+
+// Instance, device and one queue with compute and graphics. Not thread-safe. Lives as long as anything made from it.
+class VkContext;
+
+// Errors (kIo): no driver, no such device (the line lists those that exist), a missing feature, no validation layer.
+Result<std::shared_ptr<VkContext>> openVulkan(const VulkanChoice& choice = {});
+
+std::string deviceName(const VkContext& context);
+// Warnings and errors of the validation layers so far, in order. A correct program has none.
+std::vector<std::string> validationMessages(const VkContext& context);
+
+}  // namespace ff::runtime

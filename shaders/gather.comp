@@ -1,0 +1,36 @@
+// One Jacobi iteration of B = M + albedo * F B over the leaf slots: a subgroup takes a row, its lanes take uvec4 of entries
+// (column << 16 | count) side by side, and the subgroup adds up. Works for any subgroup size: lanes are counted, not assumed,
+// because a subgroup may be only partly filled and gl_SubgroupSize is then too large.
+#version 450
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "shared.h"
+
+layout(local_size_x = kGatherGroup) in;
+layout(push_constant) uniform Push { GatherPush push; };
+layout(std430, binding = 0) readonly buffer Rows { GatherRow rows[]; };
+layout(std430, binding = 1) readonly buffer Entries { uvec4 entries[]; };
+layout(std430, binding = 2) readonly buffer Albedo { vec4 albedo[]; };  // w: area, m2
+layout(std430, binding = 3) readonly buffer Source { vec4 source[]; };
+layout(std430, binding = 4) readonly buffer Before { vec4 before[]; };
+layout(std430, binding = 5) buffer After { vec4 after[]; };
+
+vec3 term(uint entry) { return float(entry & 0xffffu) * before[entry >> 16].rgb; }
+
+void main() {
+  const uint lanes = subgroupAdd(1u);
+  const uint lane = subgroupExclusiveAdd(1u);
+  for (uint r = gl_WorkGroupID.x * gl_NumSubgroups + gl_SubgroupID; r < push.rows;
+       r += gl_NumWorkGroups.x * gl_NumSubgroups) {
+    const GatherRow row = rows[push.first_row + r];
+    vec3 sum = vec3(0);
+    for (uint v = lane; v < row.vectors; v += lanes) {
+      const uvec4 e = entries[row.first + v];
+      sum += (term(e.x) + term(e.y)) + (term(e.z) + term(e.w));
+    }
+    sum = subgroupAdd(sum);
+    if (lane == 0u)
+      after[row.slot] = vec4(source[row.slot].rgb + albedo[row.slot].rgb * (row.scale * sum), 0);
+  }
+}

@@ -1,0 +1,59 @@
+#include "runtime/range_allocator.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+#include <vector>
+
+namespace ff::runtime {
+namespace {
+
+TEST(RangeAllocator, GivesRangesThatNeverOverlapAndComeBackWhole) {
+  constexpr uint64_t kSize = 4096;
+  RangeAllocator ranges(kSize);
+  std::vector<bool> used(kSize, false);
+  struct Taken {
+    uint64_t at, size;
+  };
+  std::vector<Taken> taken;
+  std::mt19937 rng(7);
+  int granted = 0, refused = 0;
+  for (int step = 0; step < 20000; ++step) {
+    if (!taken.empty() && rng() % 2 == 0) {
+      const size_t i = rng() % taken.size();
+      for (uint64_t b = taken[i].at; b < taken[i].at + taken[i].size; ++b) used[b] = false;
+      ranges.release(taken[i].at, taken[i].size);
+      taken[i] = taken.back();
+      taken.pop_back();
+      continue;
+    }
+    const uint64_t size = 1 + rng() % 300, alignment = uint64_t{1} << rng() % 8;
+    const auto at = ranges.allocate(size, alignment);
+    if (!at) {
+      ++refused;
+      // A refusal must be honest: no aligned free run of that size exists.
+      for (uint64_t a = 0; a + size <= kSize; a += alignment) {
+        bool all_free = true;
+        for (uint64_t b = a; b < a + size && all_free; ++b) all_free = !used[b];
+        ASSERT_FALSE(all_free) << "refused " << size << " at " << a;
+      }
+      continue;
+    }
+    ++granted;
+    ASSERT_EQ(*at % alignment, 0u);
+    ASSERT_LE(*at + size, kSize);
+    for (uint64_t b = *at; b < *at + size; ++b) {
+      ASSERT_FALSE(used[b]);
+      used[b] = true;
+    }
+    taken.push_back({*at, size});
+  }
+  EXPECT_GT(granted, 1000);
+  EXPECT_GT(refused, 10);
+  for (const Taken& t : taken) ranges.release(t.at, t.size);
+  EXPECT_TRUE(ranges.empty());
+  EXPECT_EQ(ranges.allocate(kSize, 256), 0u);
+}
+
+}  // namespace
+}  // namespace ff::runtime
