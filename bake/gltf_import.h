@@ -14,6 +14,7 @@ struct ImportLimits {
 
 // Loads the default scene (scene 0 where none is named; all root nodes where there are no scenes). Things a radiosity
 // baker does not use (cameras, animation, skins, normals, morph targets) are not read. Missing images are warnings.
+// A scene without triangles loads, with a warning. Coordinates are within 1e9 m, texture coordinates within 65536.
 // Errors name file, place ("accessor 3") and fault; kIo, kInvalidFile. Never throws.
 Result<Scene> importGltf(const std::string& path, const ImportLimits& limits = {});
 

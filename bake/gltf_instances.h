@@ -1,0 +1,21 @@
+// The node trees flattened: where each mesh stands. Private to gltf_*.cpp.
+#pragma once
+#include <array>
+#include <vector>
+
+#include "bake/gltf_document.h"
+
+namespace ff::bake::gltf {
+
+using Matrix = std::array<double, 16>;  // column-major, last row 0 0 0 1
+
+struct Instance {
+  Matrix to_world;
+  int node = 0;
+};
+
+bool isMirror(const Matrix& m);
+// Per mesh, in the order of a depth-first walk from the scene's roots.
+std::vector<std::vector<Instance>> listInstances(const Document& document, Budget& budget);
+
+}  // namespace ff::bake::gltf

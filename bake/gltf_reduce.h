@@ -1,0 +1,39 @@
+// The checking half of gltf_document: JSON in, reduced JSON out. Private to gltf_*.cpp.
+#pragma once
+#include <string>
+#include <vector>
+
+#include "bake/gltf_container.h"
+
+namespace ff::bake::gltf {
+
+struct Extents {
+  uint64_t offset = 0, length = 0, stride = 0;
+  uint32_t buffer = 0;
+};
+
+// What the later checks need to know of an accessor that has passed its own.
+struct AccessorFacts {
+  uint64_t count = 0;
+  int component_type = 0;  // 5120...
+  std::string type;        // "VEC3"
+  bool normalized = false, has_data = false;
+  int view = -1;
+};
+
+// Buffers as loaded and the views into them; decoded meshopt views have become buffers of their own.
+struct Storage {
+  std::vector<std::vector<uint8_t>> buffers;
+  std::vector<bool> present;
+  std::vector<Extents> views;
+};
+
+Json reduceAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
+// texture_count and material warnings: see gltf_document.h for what materials look like afterwards.
+Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::string>& warnings);
+Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
+                  size_t view_count, std::vector<std::string>& warnings);
+Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
+                 std::vector<uint32_t>& roots);
+
+}  // namespace ff::bake::gltf
