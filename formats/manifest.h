@@ -1,0 +1,35 @@
+// The manifest (NAME.ffm) in memory and its parser. FORMAT.md section 2 describes the bytes.
+#pragma once
+#include <cstddef>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "formats/layout.h"
+#include "formats/parent_links.h"
+#include "formats/records.h"
+#include "formats/result.h"
+
+namespace ff::formats {
+
+// NanoVDB asks for this alignment.
+struct alignas(32) GridLine {
+  std::byte bytes[32];
+};
+
+struct Manifest {
+  WorldInfo info;
+  std::vector<LevelInfo> levels;
+  std::vector<ShardRecord> shards;
+  std::vector<ParentLinks> parents;  // of each level but the last
+  std::vector<GridLine> grid;
+  size_t grid_bytes = 0;
+};
+
+// bytes: the whole file. Errors carry offsets but no file name. Memory taken is bounded by what the bytes really hold.
+Result<Manifest> parseManifest(std::span<const std::byte> bytes);
+
+// Rejects names that could leave the manifest's folder.
+bool isPlainFileName(const std::string& name);
+
+}  // namespace ff::formats

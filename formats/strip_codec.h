@@ -1,0 +1,56 @@
+// A strip's bytes: header (records.h) and one zstd frame whose content is described by StripLayout. The decoder is part
+// of the reading library, the encoder (encodeStrip, writer.h) of the writing one.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "formats/layout.h"
+#include "formats/result.h"
+
+namespace ff::formats {
+
+// Offsets of the arrays in a strip's raw payload. Multi-byte values are stored as byte planes: the lowest bytes of all
+// elements, then the next ones, so that equal high bytes form runs.
+struct StripLayout {
+  // Bytes per node, in this order: area f32, centroid 3 x u16, normal 2 x i16, albedo 3 x u16, emission 3 x f32,
+  // quanta u16, sky u16, absorbed u16, sky direction 3 x i8.
+  static constexpr uint32_t kNodeBytes = 41;
+  // partner tile step u32, entries - 1 u16
+  static constexpr uint32_t kBlockBytes = 6;
+
+  uint32_t nodes = 0, blocks = 0, entries = 0;
+  uint64_t area() const { return 0; }
+  uint64_t centroid() const { return uint64_t{4} * nodes; }
+  uint64_t normal() const { return uint64_t{10} * nodes; }
+  uint64_t albedo() const { return uint64_t{14} * nodes; }
+  uint64_t emission() const { return uint64_t{20} * nodes; }
+  uint64_t quanta() const { return uint64_t{32} * nodes; }
+  uint64_t sky() const { return uint64_t{34} * nodes; }
+  uint64_t absorbed() const { return uint64_t{36} * nodes; }
+  uint64_t skyDirection() const { return uint64_t{38} * nodes; }
+  uint64_t blockSteps() const { return uint64_t{kNodeBytes} * nodes; }
+  uint64_t blockEntries() const { return blockSteps() + uint64_t{4} * blocks; }
+  uint64_t rowSteps() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
+  uint64_t columns() const { return rowSteps() + entries; }
+  uint64_t counts() const { return columns() + entries; }
+  uint64_t largeCounts() const { return counts() + entries; }  // u16 each, one for each zero in counts
+};
+
+// A cut of the unit sphere into 65535^2 directions: the octahedral map (Meyer et al. On Floating-Point Normal Vectors.
+// 2010) with both coordinates as signed 16-bit fixed point. The zero vector is kZeroNormal in both.
+inline constexpr int16_t kZeroNormal = -32768;
+struct OctNormal {
+  int16_t u = 0, v = 0;
+};
+OctNormal packNormal(Vec3 n);
+Vec3 unpackNormal(OctNormal n);
+
+// Decodes one strip. `info` and `checksum` are its index record's; `partners` are all tiles of its level. Fills
+// everything but Node::parent. `out`'s vectors are reused; after an error its content is unspecified. Memory taken is
+// bounded by info.raw_bytes and info.entries, which are checked against the header first. Thread-safe.
+// Errors carry no file name: the caller knows it.
+Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
+                              std::span<const std::byte> stored, Strip& out);
+
+}  // namespace ff::formats

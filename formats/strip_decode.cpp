@@ -1,0 +1,216 @@
+#include <zstd.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <memory>
+#include <new>
+
+#include "formats/bytes.h"
+#include "formats/checksum.h"
+#include "formats/records.h"
+#include "formats/strip_codec.h"
+
+namespace ff::formats {
+namespace {
+
+struct ContextFree {
+  void operator()(ZSTD_DCtx* c) const { ZSTD_freeDCtx(c); }
+};
+
+Error broken(const TileInfo& info, const std::string& message) {
+  return {ErrorCode::kInvalidFile, "",
+          "strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) + " at offset " +
+              std::to_string(info.offset),
+          message, "restore this file from a copy, or bake again"};
+}
+
+// One plane-split array of `n` elements of sizeof(T) bytes, beginning at p.
+template <class T>
+T planeValue(const std::byte* p, size_t n, size_t i) {
+  T v = 0;
+  for (size_t k = 0; k < sizeof(T); ++k)
+    v = static_cast<T>(v | static_cast<T>(static_cast<T>(std::to_integer<uint8_t>(p[k * n + i])) << (8 * k)));
+  return v;
+}
+
+float planeFloat(const std::byte* p, size_t n, size_t i) { return std::bit_cast<float>(planeValue<uint32_t>(p, n, i)); }
+
+Result<void> checkHeader(const TileInfo& info, uint64_t checksum, std::span<const std::byte> stored, StripHeader& h) {
+  if (stored.size() != info.stored_bytes || stored.size() < kStripHeaderBytes)
+    return broken(info, "has " + std::to_string(stored.size()) + " bytes instead of " +
+                            std::to_string(info.stored_bytes));
+  ByteReader r(stored.first(kStripHeaderBytes));
+  StripHeader::fields(r, h);
+  if (h.magic != kStripMagic) return broken(info, "does not begin with FFST");
+  const uint64_t expected = mixStripChecksum(
+      hashStripContent(stored), {kKindRows, info.id.level, info.id.tile, info.shard, info.offset});
+  if (h.checksum != expected || h.checksum != checksum)
+    return broken(info, "checksum mismatch: bytes were changed, swapped or left over from another bake");
+  if (r.reservedUsed()) return broken(info, "uses a reserved byte of the header");
+  if (h.level != info.id.level || h.tile != info.id.tile || h.nodes != info.nodes || h.first_node != info.first_node ||
+      h.entries != info.entries || h.raw_bytes != info.raw_bytes ||
+      h.payload_bytes != stored.size() - kStripHeaderBytes || !(h.bounds.lo == info.bounds.lo) ||
+      !(h.bounds.hi == info.bounds.hi))
+    return broken(info, "header and index disagree");
+  const StripLayout layout{h.nodes, h.blocks, h.entries};
+  const uint64_t extra = h.raw_bytes - std::min<uint64_t>(h.raw_bytes, layout.largeCounts());
+  if (h.nodes < 1 || h.nodes > kTileNodes || h.blocks > h.entries || h.raw_bytes > kMaxStripRawBytes ||
+      h.raw_bytes < layout.largeCounts() || extra % 2 != 0 || extra / 2 > h.entries)
+    return broken(info, "sizes in the header contradict each other");
+  return {};
+}
+
+Result<void> inflate(const TileInfo& info, std::span<const std::byte> payload, std::span<std::byte> raw) {
+  thread_local std::unique_ptr<ZSTD_DCtx, ContextFree> context(ZSTD_createDCtx());
+  if (!context) return Error{ErrorCode::kIo, "", "", "out of memory for decompression", ""};
+  const size_t frame = ZSTD_findFrameCompressedSize(payload.data(), payload.size());
+  if (ZSTD_isError(frame) || frame != payload.size()) return broken(info, "payload is not one zstd frame");
+  const size_t n = ZSTD_decompressDCtx(context.get(), raw.data(), raw.size(), payload.data(), payload.size());
+  if (ZSTD_isError(n)) return broken(info, std::string("zstd: ") + ZSTD_getErrorName(n));
+  if (n != raw.size()) return broken(info, "payload is shorter than the header says");
+  return {};
+}
+
+bool validDirection(int x, int y, int z) {
+  return x != -128 && y != -128 && z != -128 && x * x + y * y + z * z <= 127 * 127;
+}
+
+Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const StripLayout& layout, Strip& out) {
+  const size_t n = layout.nodes;
+  const Vec3 lo = info.bounds.lo, extent = info.bounds.hi - info.bounds.lo;
+  out.nodes.resize(n);
+  for (size_t i = 0; i < n; ++i) {
+    Node& node = out.nodes[i];
+    node = Node{};
+    node.area_m2 = planeFloat(raw + layout.area(), n, i);
+    OctNormal normal;
+    normal.u = planeValue<int16_t>(raw + layout.normal(), n, i);
+    normal.v = planeValue<int16_t>(raw + layout.normal() + 2 * n, n, i);
+    std::array<int, 3> direction{};
+    for (size_t c = 0; c < 3; ++c) {
+      const int k = static_cast<int>(c);
+      const auto centroid = planeValue<uint16_t>(raw + layout.centroid() + 2 * n * c, n, i);
+      node.centroid[k] = lo[k] + extent[k] * (static_cast<float>(centroid) / 65535.0f);
+      node.albedo[k] = static_cast<float>(planeValue<uint16_t>(raw + layout.albedo() + 2 * n * c, n, i)) / 65535.0f;
+      node.emission[k] = planeFloat(raw + layout.emission() + 4 * n * c, n, i);
+      direction[c] = planeValue<int8_t>(raw + layout.skyDirection() + n * c, n, i);
+      node.sky_direction[k] = static_cast<float>(direction[c]) / 127.0f;
+    }
+    node.quanta = planeValue<uint16_t>(raw + layout.quanta(), n, i);
+    node.sky = planeValue<uint16_t>(raw + layout.sky(), n, i);
+    node.absorbed = planeValue<uint16_t>(raw + layout.absorbed(), n, i);
+    const auto bad = [&](const char* what) { return broken(info, "node " + std::to_string(i) + ": " + what); };
+    if (!(node.area_m2 > 0) || !std::isfinite(node.area_m2)) return bad("area is not a positive number");
+    if ((normal.u == kZeroNormal) != (normal.v == kZeroNormal)) return bad("normal is not a direction");
+    node.normal = unpackNormal(normal);
+    for (int k = 0; k < 3; ++k)
+      if (!(node.emission[k] >= 0) || !std::isfinite(node.emission[k])) return bad("emission is not a number >= 0");
+    if (!validDirection(direction[0], direction[1], direction[2])) return bad("sky direction is longer than 1");
+  }
+  return {};
+}
+
+Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const StripLayout& layout, size_t partners,
+                          Strip& out) {
+  const size_t n = layout.blocks;
+  out.blocks.resize(n);
+  uint64_t partner = 0, total = 0;
+  for (size_t i = 0; i < n; ++i) {
+    const auto step = planeValue<uint32_t>(raw + layout.blockSteps(), n, i);
+    if (i > 0 && step == 0) return broken(info, "block " + std::to_string(i) + " repeats its partner tile");
+    partner += step;
+    if (partner >= partners)
+      return broken(info, "block " + std::to_string(i) + " names tile " + std::to_string(partner) + " of " +
+                              std::to_string(partners));
+    const uint32_t entries = uint32_t{planeValue<uint16_t>(raw + layout.blockEntries(), n, i)} + 1;
+    out.blocks[i] = {static_cast<uint32_t>(partner), entries};
+    total += entries;
+  }
+  if (total != layout.entries) return broken(info, "blocks do not add up to the strip's entries");
+  return {};
+}
+
+// Rows, columns and counts. The loop gathers faults and reports after a block, so that it stays short.
+Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout,
+                           std::span<const TileInfo> partners, Strip& out) {
+  const auto* raw = reinterpret_cast<const uint8_t*>(bytes.data());
+  const uint8_t* steps = raw + layout.rowSteps();
+  const uint8_t* columns = raw + layout.columns();
+  const uint8_t* counts = raw + layout.counts();
+  const std::byte* large = bytes.data() + layout.largeCounts();
+  const std::byte* const large_end = bytes.data() + bytes.size();
+  out.rows.resize(layout.entries);
+  out.columns.resize(layout.entries);
+  out.counts.resize(layout.entries);
+  std::copy_n(columns, layout.entries, out.columns.data());
+  std::array<uint32_t, kTileNodes> sums{};
+  size_t e = 0;
+  for (const Block& block : out.blocks) {
+    const auto bad = [&](const char* what) {
+      return broken(info, "block of partner tile " + std::to_string(block.partner_tile) + ": " + what);
+    };
+    uint32_t row = 0, largest_column = 0, unordered = 0;
+    int last_column = -1;
+    const size_t end = e + block.entries;
+    for (; e < end; ++e) {
+      const uint32_t step = steps[e], column = columns[e];
+      row += step;
+      unordered |= static_cast<uint32_t>(step == 0) & static_cast<uint32_t>(static_cast<int>(column) <= last_column);
+      last_column = static_cast<int>(column);
+      largest_column = std::max(largest_column, column);
+      uint32_t count = counts[e];
+      if (count == 0) [[unlikely]] {
+        if (large_end - large < 2) return bad("a large count is missing");
+        count = loadLittle<uint16_t>(large);
+        large += 2;
+        if (count < 256) return bad("a small count is stored as a large one");
+      }
+      out.rows[e] = static_cast<uint8_t>(row);
+      out.counts[e] = static_cast<uint16_t>(count);
+      sums[row & (kTileNodes - 1)] += count;
+    }
+    if (row >= layout.nodes) return bad("a row is outside the tile");
+    if (unordered != 0) return bad("entries are not in order of row and column");
+    if (largest_column >= partners[block.partner_tile].nodes) return bad("a column is outside the partner tile");
+  }
+  if (large != large_end) return broken(info, "large counts are left over");
+  for (size_t i = 0; i < layout.nodes; ++i) {
+    const Node& node = out.nodes[i];
+    if (uint64_t{sums[i]} + node.sky + node.absorbed != node.quanta)
+      return broken(info, "row " + std::to_string(i) + ": entries " + std::to_string(sums[i]) + " + sky " +
+                              std::to_string(node.sky) + " + absorbed " + std::to_string(node.absorbed) +
+                              " are not the row's " + std::to_string(node.quanta) + " quanta");
+  }
+  return {};
+}
+
+}  // namespace
+
+Vec3 unpackNormal(OctNormal n) {
+  if (n.u == kZeroNormal || n.v == kZeroNormal) return {};
+  const float x = static_cast<float>(n.u) / 32767.0f, y = static_cast<float>(n.v) / 32767.0f;
+  const float z = 1.0f - std::abs(x) - std::abs(y);
+  if (z >= 0) return normalized({x, y, z});
+  return normalized({std::copysign(1.0f - std::abs(y), x), std::copysign(1.0f - std::abs(x), y), z});
+}
+
+Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
+                              std::span<const std::byte> stored, Strip& out) try {
+  StripHeader header;
+  if (auto ok = checkHeader(info, checksum, stored, header); !ok) return ok;
+  const StripLayout layout{header.nodes, header.blocks, header.entries};
+  thread_local std::vector<std::byte> scratch;  // bounded by kMaxStripRawBytes
+  scratch.resize(header.raw_bytes);
+  if (auto ok = inflate(info, stored.subspan(kStripHeaderBytes), scratch); !ok) return ok;
+  out.id = info.id;
+  out.first_node = info.first_node;
+  if (auto ok = decodeNodes(info, scratch.data(), layout, out); !ok) return ok;
+  if (auto ok = decodeBlocks(info, scratch.data(), layout, partners.size(), out); !ok) return ok;
+  return decodeEntries(info, scratch, layout, partners, out);
+} catch (const std::bad_alloc&) {
+  return Error{ErrorCode::kIo, "", "", "out of memory while decoding a strip", "close other programs"};
+}
+
+}  // namespace ff::formats

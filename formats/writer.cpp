@@ -1,0 +1,254 @@
+#include "formats/writer.h"
+
+#include <unistd.h>
+#include <zstd.h>
+
+#include <algorithm>
+
+#include "formats/checksum.h"
+#include "formats/geometry.h"
+#include "formats/manifest.h"
+#include "formats/shard_writer.h"
+
+namespace ff::formats {
+
+struct WorldWriter::State {
+  std::string path, stem;  // stem: path without .ffm
+  uint64_t shard_bytes = 0;
+  std::vector<std::unique_ptr<ShardWriter>> shards;  // in the order of the manifest's table
+  ShardWriter* open_shard[2] = {};                   // by kind; null: none is open
+  uint32_t shards_of_kind[2] = {};
+  std::vector<LevelInfo> levels;                     // sized by the first strip, which is of the coarsest level
+  std::vector<std::vector<bool>> tile_starts;        // by level: is this node the first of a tile?
+  uint32_t level = 0;                                // of the last strip
+  uint32_t geometry_tiles = 0;
+  bool failed = false;                               // after an error nothing more is accepted
+
+  Result<void> addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes);
+  Result<void> closeShard(uint32_t kind);
+};
+
+namespace {
+
+constexpr int kZstdLevel = 3;
+
+Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
+
+std::string shardPath(const std::string& stem, uint32_t kind, uint32_t number) {
+  std::string digits = std::to_string(number);
+  digits.insert(0, digits.size() < 4 ? 4 - digits.size() : 0, '0');
+  return stem + (kind == kKindGeometry ? ".geometry." : ".") + digits + ".ffs";
+}
+
+// The bits of ParentLinks; refuses numbers that are not what layout.h promises of them.
+Result<std::vector<uint64_t>> parentBits(std::span<const uint32_t> parents, uint32_t nodes, uint32_t parent_nodes,
+                                         const std::vector<bool>& tile_starts) {
+  if (parents.size() != nodes) return misuse("parent links are not one per node");
+  std::vector<uint64_t> words((parents.size() + 63) / 64);
+  for (size_t i = 0; i < parents.size(); ++i) {
+    const bool starts = i == 0 || parents[i] != parents[i - 1];
+    if (parents[i] != (i == 0 ? 0 : parents[i - 1] + (starts ? 1 : 0)))
+      return misuse("parents are not in the order of their first children");
+    if (tile_starts[i] && !starts) return misuse("siblings lie in two tiles");
+    words[i / 64] |= uint64_t{starts} << (i % 64);
+  }
+  if (parents.back() + 1 != parent_nodes) return misuse("parent links do not name every node of the level above");
+  return words;
+}
+
+Result<std::vector<std::byte>> compress(std::span<const std::byte> in) {
+  std::vector<std::byte> out(ZSTD_compressBound(in.size()));
+  const size_t n = ZSTD_compress(out.data(), out.size(), in.data(), in.size(), kZstdLevel);
+  if (ZSTD_isError(n)) return Error{ErrorCode::kIo, "", "", "out of memory for compression", "close other programs"};
+  out.resize(n);
+  return out;
+}
+
+struct SectionBytes {
+  uint32_t kind = 0;
+  uint64_t raw_bytes = 0;
+  std::vector<std::byte> bytes;
+};
+
+std::vector<std::byte> manifestBytes(const std::vector<SectionBytes>& sections) {
+  ByteWriter table;
+  uint64_t offset = kManifestHeaderBytes + sections.size() * kSectionRecordBytes;
+  for (const SectionBytes& s : sections) {
+    SectionRecord r;
+    r.kind = s.kind;
+    r.offset = offset;
+    r.stored_bytes = s.bytes.size();
+    r.raw_bytes = s.raw_bytes;
+    r.checksum = hashBytes(s.bytes);
+    SectionRecord::fields(table, r);
+    offset += s.bytes.size();
+  }
+  ManifestHeader header;
+  header.sections = static_cast<uint32_t>(sections.size());
+  header.file_bytes = offset;
+  header.table_checksum = hashBytes(table.data());
+  std::vector<std::byte> out = recordBytes(header);
+  storeLittle(out.data() + kManifestHeaderBytes - 8, hashBytes(std::span(out).first(kManifestHeaderBytes - 8)));
+  out.insert(out.end(), table.data().begin(), table.data().end());
+  for (const SectionBytes& s : sections) out.insert(out.end(), s.bytes.begin(), s.bytes.end());
+  return out;
+}
+
+// A world baked before under the same name may have had more shards.
+void removeShardsFrom(const std::string& stem, uint32_t kind, uint32_t number) {
+  while (::unlink(shardPath(stem, kind, number).c_str()) == 0) ++number;
+}
+
+}  // namespace
+
+Result<void> WorldWriter::State::closeShard(uint32_t kind) {
+  if (open_shard[kind] == nullptr) return {};
+  auto ok = open_shard[kind]->finish();
+  open_shard[kind] = nullptr;
+  return ok;
+}
+
+Result<void> WorldWriter::State::addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes) {
+  if (open_shard[kind] == nullptr) {
+    auto shard = ShardWriter::create(shardPath(stem, kind, shards_of_kind[kind]), kind,
+                                     static_cast<uint32_t>(shards.size()));
+    if (!shard) return shard.error();
+    ++shards_of_kind[kind];
+    shards.push_back(std::move(*shard));
+    open_shard[kind] = shards.back().get();
+  }
+  if (auto ok = open_shard[kind]->add(info, std::move(bytes)); !ok) return ok;
+  return open_shard[kind]->bytes() >= shard_bytes ? closeShard(kind) : Result<void>{};
+}
+
+Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_bytes) {
+  auto state = std::make_unique<State>();
+  state->path = path;
+  const std::string suffix = ".ffm";
+  if (path.size() <= suffix.size() || !path.ends_with(suffix) || path[path.size() - suffix.size() - 1] == '/')
+    return Error{ErrorCode::kUsage, path, "", "a world's name ends in .ffm", "name the output NAME.ffm"};
+  state->stem = path.substr(0, path.size() - suffix.size());
+  state->shard_bytes = shard_bytes;
+  // Says at once, not after hours, that the folder cannot be written.
+  const size_t slash = path.rfind('/');
+  const std::string folder = slash == std::string::npos ? "." : path.substr(0, slash + 1);
+  if (::access(folder.c_str(), W_OK | X_OK) != 0) return systemError(folder, "cannot write to this folder");
+  return WorldWriter(std::move(state));
+}
+
+WorldWriter::WorldWriter(std::unique_ptr<State> state) : state_(std::move(state)) {}
+WorldWriter::WorldWriter(WorldWriter&&) noexcept = default;
+WorldWriter& WorldWriter::operator=(WorldWriter&&) noexcept = default;
+WorldWriter::~WorldWriter() = default;
+
+Result<void> WorldWriter::addStrip(EncodedStrip strip) {
+  State& s = *state_;
+  const TileInfo& info = strip.info;
+  if (s.failed) return misuse("an earlier call failed");
+  s.failed = true;
+  if (s.levels.empty()) {
+    if (info.id.level >= kMaxLevels) return misuse("level is too high");
+    s.level = info.id.level;
+    s.levels.resize(s.level + 1);
+    s.tile_starts.resize(s.level + 1);
+  }
+  if (info.id.level + 1 == s.level && s.levels[s.level].tiles > 0) s.level = info.id.level;
+  if (info.id.level != s.level || info.id.tile != s.levels[s.level].tiles)
+    return misuse("strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) +
+                  " comes out of order");
+  LevelInfo& level = s.levels[s.level];
+  if (info.first_node != level.nodes) return misuse("first_node is not the number of nodes before the tile");
+  s.tile_starts[s.level].resize(level.nodes + info.nodes);
+  s.tile_starts[s.level][level.nodes] = true;
+  ++level.tiles;
+  level.nodes += info.nodes;
+  level.entries += info.entries;
+  level.stored_bytes += info.stored_bytes + kIndexRecordBytes;
+  if (auto ok = s.addTo(kKindRows, info, std::move(strip.bytes)); !ok) return ok;
+  s.failed = false;
+  return {};
+}
+
+Result<void> WorldWriter::addGeometry(const TileGeometry& geometry) {
+  State& s = *state_;
+  if (s.failed) return misuse("an earlier call failed");
+  s.failed = true;
+  if (geometry.tile != s.geometry_tiles)
+    return misuse("geometry of tile " + std::to_string(geometry.tile) + " comes out of order");
+  auto payload = encodeGeometry(geometry);
+  if (!payload) return payload.error();
+  StripHeader header;
+  header.magic = kGeometryMagic;
+  header.tile = geometry.tile;
+  header.entries = static_cast<uint32_t>(geometry.patch.size());
+  header.payload_bytes = static_cast<uint32_t>(payload->size());
+  header.bounds = {};
+  for (const Vec3& p : geometry.positions) header.bounds.add(p);
+  if (header.bounds.empty()) header.bounds = Box{{0, 0, 0}, {0, 0, 0}};
+  for (uint8_t patch : geometry.patch)
+    header.nodes = std::max<uint16_t>(header.nodes, static_cast<uint16_t>(patch + 1));
+  std::vector<std::byte> bytes = recordBytes(header);
+  bytes.insert(bytes.end(), payload->begin(), payload->end());
+  storeLittle(bytes.data() + kStripChecksumOffset, hashStripContent(bytes));
+  TileInfo info;
+  info.id = {0, geometry.tile};
+  info.stored_bytes = static_cast<uint32_t>(bytes.size());
+  info.nodes = header.nodes;
+  info.entries = header.entries;
+  info.bounds = header.bounds;
+  if (auto ok = s.addTo(kKindGeometry, info, std::move(bytes)); !ok) return ok;
+  ++s.geometry_tiles;
+  s.failed = false;
+  return {};
+}
+
+Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents,
+                                 std::span<const float> cell_m, std::span<const std::byte> spatial_grid) {
+  State& s = *state_;
+  if (s.failed) return misuse("an earlier call failed");
+  s.failed = true;
+  if (s.levels.empty() || s.level != 0 || s.levels[0].tiles == 0) return misuse("a world needs strips down to level 0");
+  if (s.geometry_tiles != 0 && s.geometry_tiles != s.levels[0].tiles) return misuse("geometry does not cover every tile");
+  if (parents.size() + 1 != s.levels.size() || cell_m.size() != s.levels.size())
+    return misuse("parents or cell sizes do not fit the number of levels");
+
+  std::vector<SectionBytes> sections;
+  const auto addSection = [&](uint32_t kind, ByteWriter& w) {
+    sections.push_back({kind, w.data().size(), std::move(w.data())});
+  };
+  ByteWriter info_bytes, level_bytes, shard_bytes, parent_bytes;
+  WorldInfoRecord::fields(info_bytes, info);
+  addSection(kSectionInfo, info_bytes);
+  for (size_t l = 0; l < s.levels.size(); ++l) {
+    s.levels[l].cell_m = cell_m[l];
+    LevelRecord::fields(level_bytes, s.levels[l]);
+  }
+  addSection(kSectionLevels, level_bytes);
+  for (size_t l = 0; l < parents.size(); ++l) {
+    auto bits = parentBits(parents[l], s.levels[l].nodes, s.levels[l + 1].nodes, s.tile_starts[l]);
+    if (!bits) return bits.error();
+    for (uint64_t w : *bits) parent_bytes.u64(w);
+  }
+  for (uint32_t kind : {kKindRows, kKindGeometry})
+    if (auto ok = s.closeShard(kind); !ok) return ok;
+  for (const auto& shard : s.shards) ShardRecord::fields(shard_bytes, shard->record());
+  addSection(kSectionShards, shard_bytes);
+  addSection(kSectionParents, parent_bytes);
+  if (!spatial_grid.empty()) {
+    auto grid = compress(spatial_grid);
+    if (!grid) return grid.error();
+    sections.push_back({kSectionGrid, spatial_grid.size(), std::move(*grid)});
+  }
+  // What we are about to promise must be readable: the same checks as the reader's, before any name changes.
+  const std::vector<std::byte> manifest = manifestBytes(sections);
+  if (auto parsed = parseManifest(manifest); !parsed) return parsed.error();
+
+  for (const auto& shard : s.shards)
+    if (auto ok = shard->rename(); !ok) return ok;
+  if (auto ok = syncFolderOf(s.path); !ok) return ok;
+  if (auto ok = writeFileAtomically(s.path, manifest); !ok) return ok;
+  for (uint32_t kind : {kKindRows, kKindGeometry}) removeShardsFrom(s.stem, kind, s.shards_of_kind[kind]);
+  return {};
+}
+
+}  // namespace ff::formats

@@ -1,0 +1,170 @@
+// What is written is what is read, within the quantisation that FORMAT.md states.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+
+#include "formats/reader.h"
+#include "formats/strip_codec.h"
+#include "formats/writer.h"
+#include "tests/formats/random_world.h"
+
+namespace ff::formats {
+namespace {
+
+// Half a step of the 16-bit fractions, and the rounding of the float sum lo + extent * t.
+void expectNear(Vec3 read, Vec3 written, const Box& bounds) {
+  for (int c = 0; c < 3; ++c) {
+    const float scale = std::max({std::abs(bounds.lo[c]), std::abs(bounds.hi[c]), 1e-30f});
+    ASSERT_NEAR(read[c], written[c], 0.5f / 65535 * (bounds.hi[c] - bounds.lo[c]) + 4 * 6e-8f * scale);
+  }
+}
+
+void expectSameNode(const Node& read, const Node& written, const Box& bounds) {
+  ASSERT_EQ(read.area_m2, written.area_m2);
+  expectNear(read.centroid, written.centroid, bounds);
+  // Octahedral coordinates are off by half of 1/32767 each; the map stretches by less than 3.
+  ASSERT_LT(length(read.normal - written.normal), 3.0f / 32767) << written.normal.x << " " << written.normal.y;
+  for (int c = 0; c < 3; ++c) {
+    ASSERT_NEAR(read.albedo[c], written.albedo[c], 0.5f / 65535 + 1e-7f);
+    ASSERT_EQ(read.emission[c], written.emission[c]);
+    // Half a step, or a whole one more where length 1 has to be kept.
+    ASSERT_NEAR(read.sky_direction[c], written.sky_direction[c], 1.5f / 127 + 1e-6f);
+  }
+  ASSERT_LE(length(read.sky_direction), 1 + 1e-6f);
+  ASSERT_EQ(read.parent, written.parent);
+  ASSERT_EQ(read.quanta, written.quanta);
+  ASSERT_EQ(read.sky, written.sky);
+  ASSERT_EQ(read.absorbed, written.absorbed);
+}
+
+void expectSameWorld(const World& read, const RandomWorld& w) {
+  ASSERT_EQ(read.levels().size(), w.strips.size());
+  for (uint32_t level = 0; level < w.strips.size(); ++level) {
+    ASSERT_EQ(read.tiles(level).size(), w.strips[level].size());
+    ASSERT_EQ(read.levels()[level].cell_m, w.cell_m[level]);
+    uint64_t entries = 0;
+    for (uint32_t tile = 0; tile < w.strips[level].size(); ++tile) {
+      const Strip& written = w.strips[level][tile];
+      auto strip = read.strip({level, tile});
+      ASSERT_TRUE(strip) << strip.error().line();
+      ASSERT_EQ(strip->id, written.id);
+      ASSERT_EQ(strip->first_node, written.first_node);
+      ASSERT_EQ(strip->nodes.size(), written.nodes.size());
+      for (size_t i = 0; i < written.nodes.size(); ++i)
+        expectSameNode(strip->nodes[i], written.nodes[i], w.bounds[level][tile]);
+      ASSERT_TRUE(std::ranges::equal(strip->blocks, written.blocks, [](const Block& a, const Block& b) {
+        return a.partner_tile == b.partner_tile && a.entries == b.entries;
+      }));
+      ASSERT_EQ(strip->rows, written.rows);
+      ASSERT_EQ(strip->columns, written.columns);
+      ASSERT_EQ(strip->counts, written.counts);
+      const TileInfo& info = read.tiles(level)[tile];
+      ASSERT_EQ(info.bounds.lo, w.bounds[level][tile].lo);
+      ASSERT_EQ(info.bounds.hi, w.bounds[level][tile].hi);
+      ASSERT_EQ(info.nodes, written.nodes.size());
+      entries += info.entries;
+    }
+    ASSERT_EQ(read.levels()[level].entries, entries);
+  }
+}
+
+TEST(World, ReadsWhatWasWritten) {
+  for (uint64_t seed = 1; seed <= 12; ++seed) {
+    SCOPED_TRACE(seed);
+    TemporaryFolder folder;
+    RandomWorldSettings settings;
+    settings.seed = seed;
+    settings.level0_tiles = static_cast<uint32_t>(1 + seed * seed / 3);
+    settings.max_tile_nodes = seed % 3 == 0 ? 7 : kTileNodes;
+    settings.levels = static_cast<uint32_t>(1 + seed % 4);
+    settings.quanta = seed % 2 == 0 ? 64 : 2000;
+    settings.geometry = seed % 4 != 1;
+    const RandomWorld w = makeRandomWorld(settings);
+    const auto written = writeWorld(w, folder.file("w.ffm"), seed % 2 == 0 ? 20000 : 1 << 28);
+    ASSERT_TRUE(written) << written.error().line();
+    auto world = World::open(folder.file("w.ffm"));
+    ASSERT_TRUE(world) << world.error().line();
+    expectSameWorld(*world, w);
+    EXPECT_TRUE(std::ranges::equal(world->spatialGrid(), w.grid));
+    EXPECT_EQ(reinterpret_cast<uintptr_t>(world->spatialGrid().data()) % 32, 0u);
+    EXPECT_EQ(world->info().scene, w.info.scene);
+    EXPECT_EQ(world->info().bake_key, w.info.bake_key);
+    EXPECT_EQ(world->info().absorbed_fraction, w.info.absorbed_fraction);
+    EXPECT_EQ(world->info().row_total_deviation, w.info.row_total_deviation);
+    EXPECT_EQ(world->info().seed, w.info.seed);
+  }
+}
+
+TEST(World, LinksNodesTilesParentsAndChildren) {
+  TemporaryFolder folder;
+  RandomWorldSettings settings;
+  settings.level0_tiles = 40;
+  settings.max_tile_nodes = 200;
+  settings.levels = 4;
+  settings.quanta = 4;
+  const RandomWorld w = makeRandomWorld(settings);
+  ASSERT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28));
+  auto world = World::open(folder.file("w.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  for (uint32_t level = 0; level < 4; ++level) {
+    for (const Strip& strip : w.strips[level])
+      for (uint32_t i = 0; i < strip.nodes.size(); ++i) ASSERT_EQ(world->tileOf(level, strip.first_node + i), strip.id.tile);
+    if (level == 3) {
+      EXPECT_EQ(world->parent(level, 0), kNoParent);
+      continue;
+    }
+    std::vector<std::pair<uint32_t, uint32_t>> children(world->levels()[level + 1].nodes, {~0u, 0});
+    for (uint32_t i = 0; i < w.parents[level].size(); ++i) {
+      const uint32_t p = w.parents[level][i];
+      ASSERT_EQ(world->parent(level, i), p);
+      children[p] = {std::min(children[p].first, i), i + 1};
+    }
+    for (uint32_t p = 0; p < children.size(); ++p) ASSERT_EQ(world->children(level + 1, p), children[p]);
+  }
+}
+
+TEST(World, ReadsGeometryInOrder) {
+  TemporaryFolder folder;
+  const RandomWorld w = makeRandomWorld({});
+  ASSERT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28));
+  auto world = World::open(folder.file("w.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  ASSERT_TRUE(world->hasGeometry());
+  size_t triangles = 0;
+  for (const TileGeometry& written : w.geometry) {
+    auto read = world->geometry(written.tile);
+    ASSERT_TRUE(read) << read.error().line();
+    ASSERT_EQ(read->patch, written.patch);
+    ASSERT_EQ(read->positions.size(), written.positions.size());
+    Box extent;
+    for (const Vec3& p : written.positions) extent.add(p);
+    for (size_t i = 0; i < written.positions.size(); ++i) {
+      // One range for all axes: the largest extent; half a step and the floats' rounding at 100 m.
+      const Vec3 e = extent.hi - extent.lo;
+      const float step = std::max({e.x, e.y, e.z}) / 65535;
+      for (int c = 0; c < 3; ++c) ASSERT_NEAR(read->positions[i][c], written.positions[i][c], 0.5f * step + 4e-5f);
+    }
+    triangles += written.patch.size();
+  }
+  EXPECT_GT(triangles, 100u);
+}
+
+TEST(Normal, SurvivesPackingInEveryOctant) {
+  for (int x = -8; x <= 8; ++x)
+    for (int y = -8; y <= 8; ++y)
+      for (int z = -8; z <= 8; ++z) {
+        const Vec3 n = normalized({static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)});
+        ASSERT_LT(length(unpackNormal(packNormal(n)) - n), 3.0f / 32767) << x << " " << y << " " << z;
+      }
+  for (int axis = 0; axis < 3; ++axis)
+    for (float sign : {-1.0f, 1.0f}) {
+      Vec3 n;
+      n[axis] = sign;
+      EXPECT_EQ(unpackNormal(packNormal(n)), n);  // axes are exact: voxel worlds have no others
+    }
+}
+
+}  // namespace
+}  // namespace ff::formats
