@@ -47,14 +47,21 @@ class Updater {
   Result<void> radiosity(std::span<Vec4> out);
 
  private:
+  Result<void> changeMatrix();
+  void light(const SlotRange& range, const formats::Strip& strip, bool ask_direct_light);
+  Result<void> relightAll();
+
   const formats::World& world_;
   stream::Streamer& streamer_;
   Solver& solver_;
   Sky sky_;
   DirectLight direct_light_;
   std::shared_ptr<const LocalMatrix> matrix_;
-  std::vector<Vec4> source_, direct_, radiosity_;
-  bool light_changed_ = false;
+  std::vector<Vec4> source_, direct_;      // per slot
+  std::vector<Vec3> direct_irradiance_;    // per slot, W/m2
+  std::vector<Vec4> radiosity_, before_;   // per slot; scratch of changeMatrix() and converge()
+  FrameStats counts_;                      // of the matrix
+  bool sky_changed_ = false, light_changed_ = false;
 };
 
 }  // namespace ff::runtime

@@ -1,0 +1,84 @@
+#include "runtime/gather_kernels.h"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace ff::runtime {
+namespace {
+
+using Float4 = float __attribute__((vector_size(16), aligned(4), may_alias));
+
+const Float4& asFloat4(const Vec4& v) { return reinterpret_cast<const Float4&>(v); }
+
+}  // namespace
+
+void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
+  for (uint32_t i = begin; i < end; ++i) {
+    const uint32_t slot = job.leaves[i];
+    Float4 even{}, odd{};  // two chains, so that an addition need not wait for the one before
+    uint32_t k = job.row_start[slot];
+    const uint32_t last = job.row_start[slot + 1];
+    for (; k + 2 <= last; k += 2) {
+      const uint32_t a = job.entries[k], b = job.entries[k + 1];
+      even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
+      odd += asFloat4(job.from[b >> 16]) * static_cast<float>(b & 0xffff);
+    }
+    if (k < last) {
+      const uint32_t a = job.entries[k];
+      even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
+    }
+    reinterpret_cast<Float4&>(job.to[slot]) =
+        asFloat4(job.source[slot]) + asFloat4(job.reflectance[slot]) * (even + odd);
+  }
+}
+
+#if defined(__x86_64__)
+namespace {
+
+// Radiosity of the columns of two entries, side by side.
+__attribute__((target("avx2,fma"))) inline __m256 loadPair(const Vec4* from, const uint32_t* entries) {
+  const __m128 low = _mm_loadu_ps(&from[entries[0] >> 16].x);
+  return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[entries[1] >> 16].x), 1);
+}
+
+__attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, uint32_t begin, uint32_t end) {
+  const __m256i pair0 = _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1), pair1 = _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3),
+                pair2 = _mm256_setr_epi32(4, 4, 4, 4, 5, 5, 5, 5), pair3 = _mm256_setr_epi32(6, 6, 6, 6, 7, 7, 7, 7);
+  const __m256i count_mask = _mm256_set1_epi32(0xffff);
+  for (uint32_t i = begin; i < end; ++i) {
+    const uint32_t slot = job.leaves[i];
+    __m256 even = _mm256_setzero_ps(), odd = even;
+    uint32_t k = job.row_start[slot];
+    const uint32_t last = job.row_start[slot + 1];
+    for (; k + 8 <= last; k += 8) {
+      const uint32_t* e = job.entries + k;
+      const __m256i packed = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(e));
+      const __m256 counts = _mm256_cvtepi32_ps(_mm256_and_si256(packed, count_mask));
+      even = _mm256_fmadd_ps(loadPair(job.from, e), _mm256_permutevar8x32_ps(counts, pair0), even);
+      odd = _mm256_fmadd_ps(loadPair(job.from, e + 2), _mm256_permutevar8x32_ps(counts, pair1), odd);
+      even = _mm256_fmadd_ps(loadPair(job.from, e + 4), _mm256_permutevar8x32_ps(counts, pair2), even);
+      odd = _mm256_fmadd_ps(loadPair(job.from, e + 6), _mm256_permutevar8x32_ps(counts, pair3), odd);
+    }
+    even = _mm256_add_ps(even, odd);
+    __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));
+    for (; k < last; ++k) {
+      const uint32_t entry = job.entries[k];
+      const __m128 count = _mm_set1_ps(static_cast<float>(entry & 0xffff));
+      sum = _mm_fmadd_ps(_mm_loadu_ps(&job.from[entry >> 16].x), count, sum);
+    }
+    const __m128 reflected = _mm_mul_ps(sum, _mm_loadu_ps(&job.reflectance[slot].x));
+    _mm_storeu_ps(&job.to[slot].x, _mm_add_ps(_mm_loadu_ps(&job.source[slot].x), reflected));
+  }
+}
+
+}  // namespace
+
+GatherKernel gatherAvx2() {
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? gatherRowsAvx2 : nullptr;
+}
+#else
+GatherKernel gatherAvx2() { return nullptr; }
+#endif
+
+}  // namespace ff::runtime

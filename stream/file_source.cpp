@@ -1,0 +1,93 @@
+#include "stream/file_source.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <mutex>
+#include <thread>
+
+#include "stream/file_request.h"
+
+namespace ff::stream {
+namespace {
+
+class ThreadSource final : public TileSource {
+ public:
+  ThreadSource(const formats::World& world, int threads) : world_(world) {
+    for (int i = 0; i < std::max(threads, 1); ++i) threads_.emplace_back([this] { work(); });
+  }
+
+  ~ThreadSource() override {
+    {
+      const std::lock_guard lock(mutex_);
+      stop_ = true;
+    }
+    wake_.notify_all();
+    for (std::thread& thread : threads_) thread.join();
+  }
+
+  void read(formats::TileId id, Done done) override {
+    {
+      const std::lock_guard lock(mutex_);
+      queue_.push_back({id, std::move(done)});
+    }
+    wake_.notify_one();
+  }
+
+  const char* name() const override { return "threads"; }
+
+ private:
+  struct Item {
+    formats::TileId id;
+    Done done;
+  };
+
+  void work() {
+    for (;;) {
+      Item item;
+      {
+        std::unique_lock lock(mutex_);
+        wake_.wait(lock, [this] { return stop_ || !queue_.empty(); });
+        if (queue_.empty()) return;
+        item = std::move(queue_.front());
+        queue_.pop_front();
+      }
+      item.done(item.id, readBlocking(item.id));
+    }
+  }
+
+  Result<std::vector<std::byte>> readBlocking(formats::TileId id) const {
+    FileRequest request(world_, id);
+    while (!request.finished()) {
+      const ssize_t got = pread(request.descriptor(), request.remaining().data(), request.remaining().size(),
+                                static_cast<off_t>(request.offset()));
+      if (got < 0 && errno == EINTR) continue;
+      request.advance(got < 0 ? -errno : got);
+    }
+    return request.take();
+  }
+
+  const formats::World& world_;
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::deque<Item> queue_;
+  bool stop_ = false;
+  std::vector<std::thread> threads_;
+};
+
+}  // namespace
+
+std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int threads) {
+  return std::make_unique<ThreadSource>(world, threads);
+}
+
+std::unique_ptr<TileSource> makeFileSource(const formats::World& world) {
+  if (auto uring = makeUringSource(world)) return std::move(*uring);
+  return makeThreadSource(world);
+}
+
+}  // namespace ff::stream

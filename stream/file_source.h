@@ -1,0 +1,19 @@
+// Reads stored strips from a world's shards. Two implementations behind one interface: io_uring, and a few threads with
+// pread() for kernels and containers that refuse io_uring.
+#pragma once
+#include <memory>
+
+#include "formats/reader.h"
+#include "stream/tile_source.h"
+
+namespace ff::stream {
+
+// Each lives on the descriptors of `world`, which must outlive it. Destruction waits for what is in flight.
+
+// io_uring if this kernel lets us, else threads.
+std::unique_ptr<TileSource> makeFileSource(const formats::World& world);
+// kIo where the kernel refuses io_uring or its read operation.
+Result<std::unique_ptr<TileSource>> makeUringSource(const formats::World& world);
+std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int threads = 4);
+
+}  // namespace ff::stream

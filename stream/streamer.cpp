@@ -1,0 +1,215 @@
+#include "stream/streamer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <future>
+#include <map>
+
+#include "stream/file_source.h"
+#include "stream/strip_loader.h"
+#include "stream/tile_cache.h"
+#include "stream/wanted_tiles.h"
+
+namespace ff::stream {
+namespace {
+
+using formats::TileId;
+
+// How far ahead the queue looks along the velocity: about what a queue of reads takes to arrive.
+constexpr float kLookAheadSeconds = 0.5f;
+
+// A failed strip is read once more before it is given up.
+Result<StripPtr> loadNow(const formats::World& world, TileSource& source, TileId id) {
+  for (int attempt = 0;; ++attempt) {
+    auto promise = std::make_shared<std::promise<Result<std::vector<std::byte>>>>();
+    auto future = promise->get_future();
+    source.read(id, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
+    const Result<std::vector<std::byte>> bytes = future.get();
+    auto strip = std::make_shared<formats::Strip>();
+    const Result<void> decoded = bytes ? world.decodeStrip(id, *bytes, *strip) : Result<void>(bytes.error());
+    if (decoded) return StripPtr(std::move(strip));
+    if (attempt == 1) return decoded.error();
+  }
+}
+
+class StreamerImpl final : public Streamer {
+ public:
+  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source)
+      : world_(world),
+        wanted_(world, settings),
+        cache_(settings.memory_bytes),
+        source_(std::move(source)),
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads) {
+    for (const formats::LevelInfo& level : world.levels()) last_active_.emplace_back(level.tiles, 0);
+  }
+
+  Result<void> loadTop() {
+    for (const formats::TileInfo& info : world_.tiles(static_cast<uint32_t>(world_.levels().size() - 1))) {
+      auto strip = loadNow(world_, *source_, info.id);
+      if (!strip) return strip.error();
+      cache_.insert(std::move(*strip), true);
+      ++stats_.strips_read;
+      stats_.bytes_read += info.stored_bytes;
+      previous_.push_back(info.id);
+    }
+    chooseActive();
+    return {};
+  }
+
+  bool update(Vec3 observer, Vec3 velocity) override {
+    const bool moved = !started_ || !(observer == observer_);
+    if (!moved && !loader_.anyArrived()) return false;
+    started_ = true;
+    observer_ = observer;
+    velocity_ = velocity;
+    takeArrivals();
+    if (moved) walk();
+    queueMissing();
+    return chooseActive();
+  }
+
+  std::span<const StripPtr> active() const override { return active_; }
+
+  Result<void> settle() override {
+    for (;;) {
+      update(observer_, velocity_);
+      if (loader_.backlog().idle()) return {};
+      loader_.awaitProgress();
+    }
+  }
+
+  StreamStats stats() const override {
+    StreamStats stats = stats_;
+    stats.evicted = cache_.evicted();
+    stats.resident_bytes = cache_.bytes();
+    stats.peak_resident_bytes = cache_.peakBytes();
+    stats.resident_tiles = static_cast<uint32_t>(cache_.tiles());
+    stats.wanted_tiles = static_cast<uint32_t>(previous_.size());
+    const StripLoader::Backlog backlog = loader_.backlog();
+    stats.pending_tiles = backlog.queued + backlog.under_way + backlog.arrived;
+    return stats;
+  }
+
+ private:
+  void takeArrivals() {
+    arrivals_.clear();
+    loader_.take(arrivals_);
+    for (StripLoader::Arrival& arrival : arrivals_) {
+      ++stats_.strips_read;
+      stats_.bytes_read += arrival.stored_bytes;
+      const bool wanted = wanted_.isWanted(arrival.id);
+      if (arrival.strip)
+        cache_.insert(std::move(arrival.strip), wanted);
+      else if (wanted && ++failures_[arrival.id] == 2)
+        ++stats_.failed;
+    }
+  }
+
+  void walk() {
+    const std::span<const TileId> now = wanted_.walk(observer_);
+    for (const TileId id : previous_) {
+      if (wanted_.isWanted(id)) continue;
+      cache_.setWanted(id, false);
+      failures_.erase(id);  // the next visit may try again
+    }
+    for (const TileId id : now) cache_.setWanted(id, true);
+    previous_.assign(now.begin(), now.end());
+  }
+
+  // Wanted tiles that are neither here nor given up; the loader leaves out those on their way.
+  void queueMissing() {
+    struct Missing {
+      float need;  // distance over radius, where the observer will be
+      TileId id;
+    };
+    const Vec3 ahead = observer_ + velocity_ * kLookAheadSeconds;
+    std::vector<Missing> missing;
+    for (const TileId id : previous_) {
+      if (cache_.find(id)) continue;
+      const auto failure = failures_.find(id);
+      if (failure != failures_.end() && failure->second >= 2) continue;
+      missing.push_back({world_.tiles(id.level)[id.tile].bounds.distance(ahead) / wanted_.radius(id.level), id});
+    }
+    // A tile is of no use before its ancestors: coarser first where the need is the same.
+    std::sort(missing.begin(), missing.end(), [](const Missing& a, const Missing& b) {
+      if (a.need != b.need) return a.need < b.need;
+      return a.id.level != b.id.level ? a.id.level > b.id.level : a.id.tile < b.id.tile;
+    });
+    std::vector<TileId> queue;
+    for (const Missing& m : missing) queue.push_back(m.id);
+    stats_.cancelled += loader_.setQueue(std::move(queue));
+  }
+
+  // From the top down, so that ancestors are decided first. Returns whether the set has changed.
+  bool chooseActive() {
+    ++round_;
+    next_active_.clear();
+    for (size_t i = previous_.size(); i-- > 0;) {
+      const TileId id = previous_[i];
+      StripPtr strip = cache_.find(id);
+      if (!strip) continue;
+      bool ancestors = true;
+      if (id.level + 1 < world_.levels().size()) {
+        const auto [from, to] = parentTiles(world_, id);
+        for (uint32_t p = from; p <= to; ++p) ancestors = ancestors && last_active_[id.level + 1][p] == round_;
+      }
+      if (!ancestors) continue;
+      last_active_[id.level][id.tile] = round_;
+      next_active_.push_back(std::move(strip));
+    }
+    std::reverse(next_active_.begin(), next_active_.end());
+    if (next_active_ == active_) return false;
+    active_.swap(next_active_);
+    return true;
+  }
+
+  const formats::World& world_;
+  WantedTiles wanted_;
+  TileCache cache_;
+  Vec3 observer_, velocity_;
+  bool started_ = false;
+  std::vector<TileId> previous_;  // wanted by the last walk, sorted
+  std::map<TileId, int> failures_;  // of wanted tiles; 2: given up
+  std::vector<std::vector<uint32_t>> last_active_;  // [level][tile]: the last round in which it was active
+  uint32_t round_ = 0;
+  std::vector<StripPtr> active_, next_active_;
+  std::vector<StripLoader::Arrival> arrivals_;
+  StreamStats stats_;
+  std::unique_ptr<TileSource> source_;
+  StripLoader loader_;  // last: its reads end before the source goes
+};
+
+Result<void> check(const formats::World& world, const StreamSettings& s) {
+  const auto refuse = [&](const std::string& what, const char* remedy) {
+    return Error{ErrorCode::kUsage, world.path(), "", what, remedy};
+  };
+  if (!(s.radius_m > 0) || !std::isfinite(s.radius_m)) return refuse("radius_m is not positive", "give metres, such as 24");
+  if (!(s.growth >= 1) || !std::isfinite(s.growth)) return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
+  if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
+    return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
+  uint64_t nodes = 0, bytes = 0;
+  for (const formats::TileInfo& info : world.tiles(static_cast<uint32_t>(world.levels().size() - 1))) {
+    nodes += info.nodes;
+    bytes += decodedBytesBound(world, info);
+  }
+  if (nodes > s.max_nodes)
+    return refuse("the top level alone has " + std::to_string(nodes) + " nodes, max_nodes is " + std::to_string(s.max_nodes),
+                  "raise max_nodes");
+  if (bytes > s.memory_bytes)
+    return refuse("the top level alone takes " + std::to_string(bytes) + " bytes, memory_bytes is " +
+                  std::to_string(s.memory_bytes), "raise memory_bytes");
+  return {};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
+                                                   std::unique_ptr<TileSource> source) {
+  if (auto fit = check(world, settings); !fit) return fit.error();
+  if (!source) source = makeFileSource(world);
+  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source));
+  if (auto loaded = streamer->loadTop(); !loaded) return loaded.error();
+  return std::unique_ptr<Streamer>(std::move(streamer));
+}
+
+}  // namespace ff::stream

@@ -1,0 +1,93 @@
+#include "stream/wanted_tiles.h"
+
+#include <algorithm>
+
+namespace ff::stream {
+
+using formats::TileId;
+using formats::TileInfo;
+
+uint64_t decodedBytes(const formats::Strip& strip) {
+  return sizeof(formats::Strip) + strip.nodes.size() * sizeof(formats::Node) +
+         strip.blocks.size() * sizeof(formats::Block) + strip.counts.size() * 4;
+}
+
+uint64_t decodedBytesBound(const formats::World& world, const TileInfo& info) {
+  const uint64_t blocks = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
+  return sizeof(formats::Strip) + info.nodes * sizeof(formats::Node) + blocks * sizeof(formats::Block) +
+         uint64_t{info.entries} * 4;
+}
+
+std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, TileId id) {
+  // Parents are in the order of their first children, so the first and the last node bound them.
+  const TileInfo& info = world.tiles(id.level)[id.tile];
+  return {world.tileOf(id.level + 1, world.parent(id.level, info.first_node)),
+          world.tileOf(id.level + 1, world.parent(id.level, info.first_node + info.nodes - 1))};
+}
+
+WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
+    : world_(world), settings_(settings) {
+  float radius = settings.radius_m;
+  for (const formats::LevelInfo& level : world.levels()) {
+    radius_m_.push_back(radius);
+    last_wanted_.emplace_back(level.tiles, 0);
+    radius *= settings.growth;
+  }
+}
+
+std::span<const TileId> WantedTiles::walk(Vec3 observer) {
+  ++walk_;
+  wanted_.clear();
+  heap_.clear();
+  bytes_ = 0;
+  nodes_ = level0_nodes_ = 0;
+  level0_closed_ = false;
+  for (const TileInfo& info : world_.tiles(static_cast<uint32_t>(world_.levels().size() - 1))) admit(info, observer);
+  while (!heap_.empty()) {
+    std::pop_heap(heap_.begin(), heap_.end());
+    const TileId id = heap_.back().id;
+    heap_.pop_back();
+    if (id.level == 0 && level0_closed_) continue;
+    const TileInfo& info = world_.tiles(id.level)[id.tile];
+    if (nodes_ + info.nodes > settings_.max_nodes) break;
+    if (bytes_ + decodedBytesBound(world_, info) > settings_.memory_bytes) break;
+    if (id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
+      level0_closed_ = true;
+    else
+      admit(info, observer);
+  }
+  std::sort(wanted_.begin(), wanted_.end());
+  return wanted_;
+}
+
+void WantedTiles::admit(const TileInfo& info, Vec3 observer) {
+  last_wanted_[info.id.level][info.id.tile] = walk_;
+  wanted_.push_back(info.id);
+  bytes_ += decodedBytesBound(world_, info);
+  nodes_ += info.nodes;
+  if (info.id.level == 0)
+    level0_nodes_ += info.nodes;
+  else
+    offerChildren(info, observer);
+}
+
+void WantedTiles::offerChildren(const TileInfo& parent, Vec3 observer) {
+  const uint32_t above = parent.id.level, level = above - 1;
+  const uint32_t first = world_.children(above, parent.first_node).first;
+  const uint32_t last = world_.children(above, parent.first_node + parent.nodes - 1).second - 1;
+  for (uint32_t t = world_.tileOf(level, first), end = world_.tileOf(level, last) + 1; t < end; ++t) {
+    // A tile with several parent tiles is offered once: by the one that is admitted last.
+    const auto [from, to] = parentTiles(world_, {level, t});
+    bool all = true;
+    for (uint32_t p = from; p <= to; ++p) all = all && last_wanted_[above][p] == walk_;
+    if (!all) continue;
+    const bool stays = last_wanted_[level][t] == walk_ - 1;
+    const float reach = radius_m_[level] * (stays ? settings_.hysteresis : 1.0f);
+    const float key = world_.tiles(level)[t].bounds.distance(observer) / reach;
+    if (!(key < 1)) continue;
+    heap_.push_back({key, {level, t}});
+    std::push_heap(heap_.begin(), heap_.end());
+  }
+}
+
+}  // namespace ff::stream

@@ -1,0 +1,59 @@
+// Which tiles the observer wants: a best-first walk down the hierarchy that visits only what it admits and its children.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "stream/streamer.h"
+
+namespace ff::stream {
+
+// Bytes that a strip takes in memory.
+uint64_t decodedBytes(const formats::Strip& strip);
+// At most so many for a tile that is not decoded yet.
+uint64_t decodedBytesBound(const formats::World& world, const formats::TileInfo& info);
+
+// First and last tile of level + 1 that hold the parents of the tile's nodes. Not for the top level.
+std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, formats::TileId id);
+
+// The wanted set. The top level is always wanted; another tile when the tiles of all its nodes' parents are and its
+// bounds are within its level's radius of the observer (times hysteresis if the walk before wanted it).
+// Tiles are admitted in order of distance over radius, so a budget that runs out acts exactly as a smaller radius_m:
+// max_nodes and memory_bytes end the walk, max_level0_nodes only closes level 0.
+class WantedTiles {
+ public:
+  WantedTiles(const formats::World& world, const StreamSettings& settings);
+
+  // Wanted tiles sorted by (level, tile). Valid until the next walk.
+  std::span<const formats::TileId> walk(Vec3 observer);
+  bool isWanted(formats::TileId id) const { return last_wanted_[id.level][id.tile] == walk_; }
+  float radius(uint32_t level) const { return radius_m_[level]; }
+
+ private:
+  struct Candidate {
+    float key = 0;  // distance over radius
+    formats::TileId id;
+    // For a heap whose front is next: nearest first, then the coarser level, then the lower tile.
+    friend bool operator<(const Candidate& a, const Candidate& b) {
+      if (a.key != b.key) return a.key > b.key;
+      if (a.id.level != b.id.level) return a.id.level < b.id.level;
+      return a.id.tile > b.id.tile;
+    }
+  };
+  void admit(const formats::TileInfo& info, Vec3 observer);
+  void offerChildren(const formats::TileInfo& parent, Vec3 observer);
+
+  const formats::World& world_;
+  const StreamSettings settings_;
+  std::vector<float> radius_m_;                     // per level
+  std::vector<std::vector<uint32_t>> last_wanted_;  // [level][tile]: number of the last walk that wanted it
+  std::vector<Candidate> heap_;
+  std::vector<formats::TileId> wanted_;
+  uint32_t walk_ = 1;
+  uint64_t bytes_ = 0;
+  uint32_t nodes_ = 0, level0_nodes_ = 0;
+  bool level0_closed_ = false;
+};
+
+}  // namespace ff::stream
