@@ -27,10 +27,10 @@ using File = std::unique_ptr<FILE, FileCloser>;
 
 File open(const std::string& path, const std::string& place, uint64_t* bytes) {
   struct stat info {};
-  if (stat(path.c_str(), &info) != 0) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)));
-  if (!S_ISREG(info.st_mode)) refuseIo(place, "is not a regular file");
+  if (stat(path.c_str(), &info) != 0) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)), "check that it is there");
+  if (!S_ISREG(info.st_mode)) refuseIo(place, "is not a regular file", "name a .gltf or .glb file");
   File file(std::fopen(path.c_str(), "rbe"));
-  if (!file) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)));
+  if (!file) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)), "check that it is there");
   *bytes = static_cast<uint64_t>(info.st_size);
   return file;
 }
@@ -149,6 +149,21 @@ int hexDigit(char c) {
   return -1;
 }
 
+std::string decodePercent(const std::string& text) {
+  std::string decoded;
+  for (size_t i = 0; i < text.size(); ++i) {
+    const int high = text[i] == '%' && i + 2 < text.size() ? hexDigit(text[i + 1]) : -1;
+    const int low = high < 0 ? -1 : hexDigit(text[i + 2]);
+    if (low < 0) {  // a bare '%' comes from exporters that do not encode names
+      decoded += text[i];
+      continue;
+    }
+    decoded += static_cast<char>(high * 16 + low);
+    i += 2;
+  }
+  return decoded;
+}
+
 }  // namespace
 
 Container readContainer(const std::string& path, Budget& budget, std::vector<std::string>& warnings) {
@@ -162,7 +177,8 @@ Container readContainer(const std::string& path, Budget& budget, std::vector<std
   if (file_bytes >= magic.size()) read(file.get(), magic.data(), magic.size(), "offset 0");
   std::rewind(file.get());
   std::string text;
-  if (littleEndian(magic.data()) == kMagic) {
+  out.is_glb = littleEndian(magic.data()) == kMagic;
+  if (out.is_glb) {
     readGlb(file.get(), file_bytes, out, text, budget, warnings);
   } else {
     budget.take(file_bytes, "file");
@@ -183,7 +199,11 @@ bool isDataUri(const std::string& uri) { return uri.compare(0, 5, "data:") == 0;
 std::vector<uint8_t> decodeDataUri(const std::string& uri, const std::string& place, Budget& budget) {
   const size_t comma = uri.find(',');
   if (comma == std::string::npos) refuse(place, "the data URI has no comma");
-  if (comma < 7 || uri.compare(comma - 7, 7, ";base64") != 0) refuse(place, "the data URI is not base64");
+  if (comma < 7 || uri.compare(comma - 7, 7, ";base64") != 0) {
+    budget.take(uri.size(), place);
+    const std::string text = decodePercent(uri.substr(comma + 1));
+    return {text.begin(), text.end()};
+  }
   size_t end = uri.size();
   while (end > comma + 1 && uri.size() - end < 2 && uri[end - 1] == '=') --end;
   const size_t digits = end - comma - 1;
@@ -207,21 +227,7 @@ std::vector<uint8_t> decodeDataUri(const std::string& uri, const std::string& pl
 }
 
 std::string resolveUri(const std::string& uri, const std::string& folder, const std::string& place) {
-  std::string decoded;
-  for (size_t i = 0; i < uri.size(); ++i) {
-    if (uri[i] != '%') {
-      decoded += uri[i];
-      continue;
-    }
-    const int high = i + 2 < uri.size() ? hexDigit(uri[i + 1]) : -1;
-    const int low = high < 0 ? -1 : hexDigit(uri[i + 2]);
-    if (low < 0) {  // a bare '%': exporters that do not encode names
-      decoded += '%';
-      continue;
-    }
-    decoded += static_cast<char>(high * 16 + low);
-    i += 2;
-  }
+  const std::string decoded = decodePercent(uri);
   const std::string remedy = "keep the file beside the scene and name it relatively";
   if (decoded.empty()) refuse(place, "the URI is empty", remedy);
   if (decoded.find('\0') != std::string::npos) refuse(place, "the URI holds a NUL byte", remedy);

@@ -12,7 +12,7 @@ struct Container {
   Json json;
   uint64_t json_bytes = 0;   // taken from the budget for `json` and what grows out of it
   std::vector<uint8_t> bin;  // the BIN chunk
-  bool has_bin = false;
+  bool has_bin = false, is_glb = false;
   std::string folder;        // of the file, with a trailing '/', or ""
 };
 
@@ -21,7 +21,7 @@ struct Container {
 Container readContainer(const std::string& path, Budget& budget, std::vector<std::string>& warnings);
 
 bool isDataUri(const std::string& uri);
-// The decoded payload; refuses anything but base64.
+// The decoded payload, base64 or percent-encoded.
 std::vector<uint8_t> decodeDataUri(const std::string& uri, const std::string& place, Budget& budget);
 // Path of a relative URI: no scheme, not absolute, never above `folder`; refuses others.
 std::string resolveUri(const std::string& uri, const std::string& folder, const std::string& place);

@@ -25,8 +25,9 @@ void checkAsset(const Item& file) {
   if (version.size() < 3 || version.compare(0, 2, "2.") != 0 || version.find_first_not_of("0123456789", 2) != std::string::npos)
     refuse("asset", "version \"" + printable(version) + "\", only 2.x can be read", "export as glTF 2.0");
   const std::string least = asset->text("minVersion");
-  if (!least.empty() && least != "2.0" && least != "2.1")
-    refuse("asset", "minVersion \"" + printable(least) + "\", only 2.0 can be read", "export as glTF 2.0");
+  if (!least.empty() && least != "2.0" && (least != "2.1" || version == "2.0"))
+    refuse("asset", "minVersion \"" + printable(least) + "\" with version \"" + version + "\", only 2.0 and 2.1 can be read",
+           "export as glTF 2.0");
 }
 
 void checkExtensions(const Item& file) {
@@ -59,6 +60,8 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
                             : readFile(resolveUri(uri, container.folder, item.place()), bytes, item.place(), budget);
     } else if (i == 0 && container.has_bin) {
       data = std::move(container.bin);
+    } else if (i == 0 && container.is_glb && !item.has("extensions")) {
+      refuse(item.place(), "has no uri, and the file has no BIN chunk");
     } else {
       present = false;  // of use to an application that knows better, or the fallback of a compressed bufferView
     }
@@ -78,13 +81,13 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
     e.offset = item.integer("byteOffset").value_or(0);
     e.length = item.requiredInteger("byteLength");
     const uint64_t bytes = items[*buffer].requiredInteger("byteLength");
-    if (e.length < 1) refuse(item.place(), "byteLength 0");
     if (e.offset > bytes || e.length > bytes - e.offset)
       refuse(item.place(), "offset " + std::to_string(e.offset) + " and length " + std::to_string(e.length) + " end past buffer " +
                                std::to_string(*buffer) + " of " + std::to_string(bytes) + " bytes");
     if (const auto stride = item.integer("byteStride")) {
       if (*stride < 4 || *stride > 252 || *stride % 4)
         refuse(item.place(), "byteStride " + std::to_string(*stride) + " must be a multiple of 4 from 4 to 252");
+      if (*stride > e.length) refuse(item.place(), "byteStride " + std::to_string(*stride) + " exceeds its byteLength");
       e.stride = *stride;
     }
     storage.views.push_back(e);

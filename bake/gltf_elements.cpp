@@ -23,8 +23,7 @@ Bytes viewBytes(const Document& document, int view, const std::string& place) {
   const tinygltf::BufferView& v = document.model.bufferViews[static_cast<size_t>(view)];
   const auto buffer = static_cast<size_t>(v.buffer);
   if (!document.buffer_present[buffer])
-    refuse(place, "bufferView " + std::to_string(view) + ": buffer " + std::to_string(buffer) + " has no data",
-           "export without compression extensions other than Draco");
+    refuse(place, "bufferView " + std::to_string(view) + ": buffer " + std::to_string(buffer) + " has no data");
   return {document.model.buffers[buffer].data.data() + v.byteOffset, v.byteLength};
 }
 

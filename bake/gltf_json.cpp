@@ -80,7 +80,7 @@ std::optional<uint32_t> Item::reference(const char* key, size_t count, const cha
   const auto n = integer(key);
   if (!n) return {};
   if (*n >= count)
-    refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(*n) + " of " + std::to_string(count));
+    refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(*n) + ", there are " + std::to_string(count));
   return static_cast<uint32_t>(*n);
 }
 
@@ -93,7 +93,7 @@ std::vector<uint32_t> Item::references(const char* key, size_t count, const char
   for (const Json& element : *value) {
     const uint64_t n = toInteger(element, place_, key);
     if (n >= count)
-      refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(n) + " of " + std::to_string(count));
+      refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(n) + ", there are " + std::to_string(count));
     out.push_back(static_cast<uint32_t>(n));
   }
   return out;

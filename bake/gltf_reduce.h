@@ -17,7 +17,7 @@ struct AccessorFacts {
   uint64_t count = 0;
   int component_type = 0;  // 5120...
   std::string type;        // "VEC3"
-  bool normalized = false, has_data = false;
+  bool normalized = false, has_data = false, strided = false;
   int view = -1;
 };
 

@@ -25,12 +25,20 @@ uint64_t elementBytes(const std::string& type, uint64_t component) {
   return 0;
 }
 
+// The last element may end where its last column does.
+uint64_t lastElementBytes(const std::string& type, uint64_t component) {
+  const uint64_t element = elementBytes(type, component);
+  if (type.compare(0, 3, "MAT") != 0) return element;
+  const uint64_t n = static_cast<uint64_t>(type[3] - '0');
+  return element - element / n + n * component;
+}
+
 // All operands are below 2^63 (Item::integer) and counts below 2^32, strides below 2^8: nothing here can wrap.
-void checkExtent(const Item& item, uint64_t count, uint64_t element, uint64_t stride, uint64_t offset, uint64_t alignment,
+void checkExtent(const Item& item, uint64_t count, uint64_t last_element, uint64_t stride, uint64_t offset, uint64_t alignment,
                  uint32_t view, const Extents& extents) {
   if (offset % alignment || (extents.offset + offset) % alignment)
     refuse(item.place(), "byteOffset " + std::to_string(offset) + " is not aligned to " + std::to_string(alignment) + " bytes");
-  const uint64_t needed = stride * (count - 1) + element;
+  const uint64_t needed = stride * (count - 1) + last_element;
   if (offset > extents.length || needed > extents.length - offset)
     refuse(item.place(), "count " + std::to_string(count) + " needs " + std::to_string(needed) + " bytes from offset " +
                              std::to_string(offset) + " but bufferView " + std::to_string(view) + " has " +
@@ -114,10 +122,11 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
       if (extents.stride && extents.stride < element)
         refuse(item.place(), "an element of " + std::to_string(element) + " bytes does not fit the byteStride " +
                                  std::to_string(extents.stride) + " of bufferView " + std::to_string(*view));
-      checkExtent(item, f.count, element, extents.stride ? extents.stride : element, offset, component, *view, extents);
+      checkExtent(item, f.count, lastElementBytes(f.type, component), extents.stride ? extents.stride : element, offset, component, *view, extents);
       reduced["bufferView"] = *view;
       reduced["byteOffset"] = offset;
       f.view = static_cast<int>(*view);
+      f.strided = extents.stride != 0;
       f.has_data = true;
       present = storage.present[extents.buffer];
     } else if (item.has("byteOffset")) {

@@ -104,12 +104,13 @@ Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::st
     }
     std::vector<double> emission = item.numbers("emissiveFactor", 3);
     if (emission.empty()) emission.assign(3, 0.0);
-    for (double& x : emission) x = warn.clamped(x, 0, 1, item, "emissiveFactor");
-    if (const auto strength = item.extension("KHR_materials_emissive_strength")) {
-      const double s = warn.clamped(strength->number("emissiveStrength").value_or(1), 0, kLargestEmission, *strength,
-                                    "emissiveStrength");
-      for (double& x : emission) x *= s;
+    double strength = 1;
+    if (const auto extension = item.extension("KHR_materials_emissive_strength")) {
+      strength = extension->number("emissiveStrength").value_or(1);
+      if (strength < 0) refuse(extension->place(), "emissiveStrength is negative");
     }
+    // Factors above 1 are out of the specification's range, but older exporters write radiance that way.
+    for (double& x : emission) x = warn.clamped(x * strength, 0, kLargestEmission, item, "emission");
     pbr["baseColorFactor"] = base;
     if (base_texture) pbr["baseColorTexture"] = std::move(*base_texture);
     Json reduced = {{"name", item.text("name")},   {"pbrMetallicRoughness", std::move(pbr)}, {"emissiveFactor", emission},

@@ -36,6 +36,20 @@ Vec2 transformed(const UvSource& source, const Elements& uv, uint64_t i) {
   return {fold(source.xx * u + source.xy * v + source.x), fold(source.yx * u + source.yy * v + source.y)};
 }
 
+// Files may declare geometry whose bytes an application is to supply: no bufferView, or a buffer without uri.
+bool hasData(const Document& document, const tinygltf::Primitive& primitive) {
+  const auto present = [&](int view) {
+    return document.buffer_present[static_cast<size_t>(document.model.bufferViews[static_cast<size_t>(view)].buffer)];
+  };
+  const auto readable = [&](int accessor) {
+    const tinygltf::Accessor& a = document.model.accessors[static_cast<size_t>(accessor)];
+    if (a.bufferView < 0 && !a.sparse.isSparse) return false;
+    return (a.bufferView < 0 || present(a.bufferView)) &&
+           (!a.sparse.isSparse || (present(a.sparse.indices.bufferView) && present(a.sparse.values.bufferView)));
+  };
+  return readable(primitive.attributes.at("POSITION")) && (primitive.indices < 0 || readable(primitive.indices));
+}
+
 }  // namespace
 
 uint64_t surfaceBytes(uint64_t vertices, uint64_t triangles) {
@@ -59,6 +73,10 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
     vertex_count = mesh.vertex_count;
     budget.take(taken = surfaceBytes(vertex_count, triangles.size()), place);
   } else {
+    if (!hasData(document, primitive)) {
+      warnings.push_back(place + ": its accessors have no data, it is left out");
+      return out;
+    }
     for (const auto& [name, accessor] : primitive.attributes) attributes.emplace(name, Elements(document, accessor));
     vertex_count = attributes.at("POSITION").count();
     if (primitive.indices >= 0) {
