@@ -1,0 +1,45 @@
+// The whole bake, top to bottom: scene -> patches -> rays -> pooled rows -> pyramid -> strips -> shards -> manifest.
+#pragma once
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "bake/scene.h"
+#include "formats/layout.h"
+
+namespace ff::bake {
+
+struct BakeSettings {
+  float cell_m = 0;               // patch size; 0: chosen from patch_budget
+  uint32_t patch_budget = 60000;  // used when cell_m is 0
+  uint32_t rays = 4096;           // per patch, 1..65535
+  uint32_t quanta = 512;          // Q, 1..65535
+  uint64_t seed = 1;
+  int threads = 0;                // 0: all cores. Never changes a byte of the result.
+  bool geometry = true;           // write drawing geometry
+};
+
+struct LevelStats {
+  uint32_t nodes = 0, tiles = 0;
+  uint64_t entries = 0, stored_bytes = 0;
+};
+
+struct BakeStats {
+  float cell_m = 0;
+  uint64_t triangles = 0, rays = 0;
+  double area_m2 = 0, sky_fraction = 0, absorbed_fraction = 0;  // area-weighted
+  std::vector<LevelStats> levels;
+  double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
+};
+
+// phase: "patches", "rays", "pyramid", "strips", "geometry"; done of total. Called from a thread of the baker's own, at most
+// ten times a second, never concurrently.
+using Progress = std::function<void(const char* phase, uint64_t done, uint64_t total)>;
+
+// Bakes `scene` into the world at `path` (a .ffm manifest and its shards). Errors: kUsage (settings), kInvalidFile (a scene
+// without surface), kIo. Nothing is left behind on an error.
+Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, const std::string& path,
+                            const Progress& progress = {});
+
+}  // namespace ff::bake

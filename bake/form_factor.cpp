@@ -1,0 +1,165 @@
+#include "bake/form_factor.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "bake/surface_sampling.h"
+
+namespace ff::bake {
+namespace {
+
+constexpr size_t kChunk = 64;  // patches cast by one task
+
+// Tom Duff et al. Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
+void basis(Vec3 n, Vec3& t, Vec3& b) {
+  const float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
+  t = {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x};
+  b = {c, sign + n.y * n.y * a, -n.y};
+}
+
+Vec3 pointInTriangle(const PatchTriangle& t, float u, float v) {
+  const float r = std::sqrt(u);  // Turk. Generating random points in triangles. Graphics Gems, 1990.
+  return t.a * (1 - r) + t.b * (r * (1 - v)) + t.c * (r * v);
+}
+
+struct Scratch {
+  std::vector<uint16_t> count;     // per patch, zero between rows
+  std::vector<uint32_t> touched;
+  std::vector<Ray> rays;
+};
+
+struct Chunk {
+  std::vector<uint32_t> column;
+  std::vector<uint16_t> count;
+};
+
+}  // namespace
+
+void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
+               float surface_offset, std::span<Ray> rays) {
+  const Patch& p = set.patches[patch];
+  const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
+  const float whole = triangles.back().cumulative_area;
+  const auto seeds = SobolTable::seeds(seed, patch);
+  for (uint32_t i = 0; i < rays.size(); ++i) {
+    const auto u = sobol.point(i, seeds);
+    float pick = u[0], v = u[1];
+    const PatchTriangle* t = nullptr;
+    Vec3 origin;
+    for (int attempt = 0; attempt < 16; ++attempt) {  // again where a cutout has a hole
+      const float x = pick * whole;
+      const auto at = std::upper_bound(triangles.begin(), triangles.end(), x,
+                                       [](float a, const PatchTriangle& q) { return a < q.cumulative_area; });
+      t = at == triangles.end() ? &triangles.back() : &*at;
+      const float before = at == triangles.begin() ? 0.0f : (t - 1)->cumulative_area;
+      const float own = t->cumulative_area - before;
+      origin = pointInTriangle(*t, own > 0 ? std::clamp((x - before) / own, 0.0f, 1.0f) : 0.5f, v);
+      if (!scene.materials[scene.triangles[t->source].material].cutout) break;
+      const auto [b, c] = barycentric(scene, t->source, origin);
+      if (!isHole(scene, t->source, b, c)) break;
+      pick = std::fmod(pick + 0.6180339887f, 1.0f);
+      v = std::fmod(v + 0.7548776662f, 1.0f);
+    }
+    const Vec3 n = normalized(cross(t->b - t->a, t->c - t->a));
+    Vec3 tangent, bitangent;
+    basis(n, tangent, bitangent);
+    const float r = std::sqrt(u[2]), phi = 2 * std::numbers::pi_v<float> * u[3];
+    const float z = std::sqrt(std::max(0.0f, 1 - u[2]));
+    rays[i].origin = origin + n * surface_offset;
+    rays[i].direction = normalized(tangent * (r * std::cos(phi)) + bitangent * (r * std::sin(phi)) + n * z);
+  }
+}
+
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
+                 std::atomic<uint64_t>& done) {
+  const size_t n = set.patches.size(), chunks = (n + kChunk - 1) / kChunk;
+  const SobolTable sobol(rays);
+  HitRows rows;
+  rows.rays = rays;
+  rows.start.assign(n + 1, 0);
+  rows.sky.assign(n, 0);
+  rows.absorbed.assign(n, 0);
+  rows.sky_direction.assign(n, {});
+  std::vector<Chunk> parts(chunks);
+  tbb::enumerable_thread_specific<Scratch> scratch([&] { return Scratch{std::vector<uint16_t>(n), {}, std::vector<Ray>(rays)}; });
+  tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
+    Scratch& s = scratch.local();
+    for (size_t i = c * kChunk; i < std::min(n, (c + 1) * kChunk); ++i) {
+      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), s.rays);
+      Vec3 sky_sum;
+      for (const Ray& ray : s.rays) {
+        const Hit hit = caster.nearest(ray);
+        if (hit.triangle == kNone) {
+          ++rows.sky[i];
+          sky_sum += ray.direction;
+          continue;
+        }
+        const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
+        if (j == kNone) {
+          ++rows.absorbed[i];
+        } else if (s.count[j]++ == 0) {
+          s.touched.push_back(j);
+        }
+      }
+      if (rows.sky[i] > 0) rows.sky_direction[i] = sky_sum / static_cast<float>(rows.sky[i]);
+      std::sort(s.touched.begin(), s.touched.end());
+      for (uint32_t j : s.touched) {
+        parts[c].column.push_back(j);
+        parts[c].count.push_back(s.count[j]);
+        s.count[j] = 0;
+      }
+      rows.start[i + 1] = s.touched.size();
+      s.touched.clear();
+      done.fetch_add(1, std::memory_order_relaxed);
+    }
+  });
+  for (size_t i = 0; i < n; ++i) rows.start[i + 1] += rows.start[i];
+  rows.column.resize(rows.start[n]);
+  rows.count.resize(rows.start[n]);
+  tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
+    const auto at = static_cast<ptrdiff_t>(rows.start[c * kChunk]);
+    std::copy(parts[c].column.begin(), parts[c].column.end(), rows.column.begin() + at);
+    std::copy(parts[c].count.begin(), parts[c].count.end(), rows.count.begin() + at);
+    parts[c] = {};
+  });
+  return rows;
+}
+
+HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
+  const size_t n = in.sky.size();
+  std::vector<uint32_t> old(n);
+  for (uint32_t i = 0; i < n; ++i) old[number[i]] = i;
+  HitRows out;
+  out.rays = in.rays;
+  out.start.assign(n + 1, 0);
+  out.sky.resize(n);
+  out.absorbed.resize(n);
+  out.sky_direction.resize(n);
+  for (size_t i = 0; i < n; ++i) out.start[i + 1] = out.start[i] + in.start[old[i] + 1] - in.start[old[i]];
+  out.column.resize(in.column.size());
+  out.count.resize(in.count.size());
+  tbb::parallel_for(tbb::blocked_range<size_t>(0, n, kChunk), [&](const tbb::blocked_range<size_t>& range) {
+    std::vector<std::pair<uint32_t, uint16_t>> row;
+    for (size_t i = range.begin(); i < range.end(); ++i) {
+      const uint32_t p = old[i];
+      out.sky[i] = in.sky[p];
+      out.absorbed[i] = in.absorbed[p];
+      out.sky_direction[i] = in.sky_direction[p];
+      row.clear();
+      for (uint64_t k = in.start[p]; k < in.start[p + 1]; ++k) row.emplace_back(number[in.column[k]], in.count[k]);
+      std::sort(row.begin(), row.end());
+      uint64_t at = out.start[i];
+      for (const auto& [column, count] : row) {
+        out.column[at] = column;
+        out.count[at++] = count;
+      }
+    }
+  });
+  return out;
+}
+
+}  // namespace ff::bake

@@ -1,0 +1,456 @@
+#include "bake/patches.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+#include <tuple>
+
+#include "bake/surface_sampling.h"
+
+namespace ff::bake {
+namespace {
+
+struct Point {
+  double x, y, z;
+  double& operator[](int i) { return i == 0 ? x : i == 1 ? y : z; }
+  double operator[](int i) const { return i == 0 ? x : i == 1 ? y : z; }
+};
+Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+double dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Point cross(Point a, Point b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
+using Polygon = std::vector<Point>;  // convex; in units of cells
+
+Point vectorArea(const Polygon& p) {
+  Point n{0, 0, 0};
+  for (size_t i = 1; i + 1 < p.size(); ++i) {
+    const Point c = cross(p[i] - p[0], p[i + 1] - p[0]);
+    n = {n.x + c.x / 2, n.y + c.y / 2, n.z + c.z / 2};
+  }
+  return n;
+}
+
+// Cuts a convex polygon at coordinate `plane` of axis a. Corners within eps of the plane belong to both sides.
+void split(const Polygon& in, int a, double plane, double eps, Polygon& below, Polygon& above) {
+  below.clear();
+  above.clear();
+  for (size_t i = 0; i < in.size(); ++i) {
+    const Point& p = in[i];
+    const Point& q = in[(i + 1) % in.size()];
+    const double dp = p[a] - plane, dq = q[a] - plane;
+    if (dp <= eps) below.push_back(p);
+    if (dp >= -eps) above.push_back(p);
+    if ((dp < -eps && dq > eps) || (dp > eps && dq < -eps)) {
+      // From the lower end always, so that two triangles cut their common edge at the same point.
+      const Point& lo = dp < dq ? p : q;
+      const Point& hi = dp < dq ? q : p;
+      const double t = (plane - lo[a]) / (hi[a] - lo[a]);
+      Point c{lo.x + t * (hi.x - lo.x), lo.y + t * (hi.y - lo.y), lo.z + t * (hi.z - lo.z)};
+      c[a] = plane;
+      below.push_back(c);
+      above.push_back(c);
+    }
+  }
+}
+
+struct PieceOf {
+  Cell cell;
+  uint32_t triangle;
+  Polygon polygon;
+};
+
+// Splits `polygon` along `axis` and on along the axes after it. A polygon that lies in a grid plane belongs to the cell
+// behind it, so that the faces of a voxel lie in the voxel's own cell.
+void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, double eps, uint32_t triangle,
+          std::vector<PieceOf>& out) {
+  if (axis == 3) {
+    out.push_back({cell, triangle, polygon});
+    return;
+  }
+  double lo = 1e300, hi = -1e300;
+  for (const Point& p : polygon) {
+    lo = std::min(lo, p[axis]);
+    hi = std::max(hi, p[axis]);
+  }
+  const double first = std::floor(lo + eps), last = std::ceil(hi - eps) - 1;
+  if (last <= first) {
+    const double behind = normal[axis] > 0 ? -2 * eps : normal[axis] < 0 ? 2 * eps : 0;
+    const bool flat = hi - lo <= 2 * eps;
+    cell[axis] = static_cast<int32_t>(flat ? std::floor((lo + hi) / 2 + behind) : std::floor((lo + hi) / 2));
+    clip(polygon, axis + 1, cell, normal, eps, triangle, out);
+    return;
+  }
+  Polygon rest = polygon, below, above;
+  for (double k = first; k <= last; ++k) {
+    cell[axis] = static_cast<int32_t>(k);
+    if (k < last) {
+      split(rest, axis, k + 1, eps, below, above);
+    } else {
+      below = rest;
+    }
+    if (below.size() >= 3) clip(below, axis + 1, cell, normal, eps, triangle, out);
+    if (k < last) std::swap(rest, above);
+  }
+}
+
+uint32_t orientationOf(const Point& n) {
+  const double ax = std::abs(n.x), ay = std::abs(n.y), az = std::abs(n.z);
+  const double slack = 1e-6 * (ax + ay + az);  // diagonal surfaces: rounding must not choose
+  const int a = ay >= ax - slack && ay >= az - slack ? 1 : ax >= az - slack ? 0 : 2;
+  return static_cast<uint32_t>(2 * a + (n[a] < 0));
+}
+
+double distanceToSegment(const Point& p, const Point& a, const Point& b) {
+  const Point ab = b - a, ap = p - a;
+  const double l = dot(ab, ab);
+  const double t = l > 0 ? std::clamp(dot(ap, ab) / l, 0.0, 1.0) : 0;
+  const Point d{ap.x - t * ab.x, ap.y - t * ab.y, ap.z - t * ab.z};
+  return std::sqrt(dot(d, d));
+}
+
+bool cornerOnBorder(const Polygon& p, const Polygon& q, double tolerance) {
+  for (const Point& v : p)
+    for (size_t i = 0; i < q.size(); ++i)
+      if (distanceToSegment(v, q[i], q[(i + 1) % q.size()]) < tolerance) return true;
+  return false;
+}
+
+struct UnionFind {
+  std::vector<uint32_t> parent;
+  explicit UnionFind(size_t n) : parent(n) { std::iota(parent.begin(), parent.end(), 0u); }
+  uint32_t find(uint32_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  }
+  void join(uint32_t a, uint32_t b) {
+    a = find(a);
+    b = find(b);
+    if (a != b) parent[std::max(a, b)] = std::min(a, b);  // the root is the first piece
+  }
+};
+
+constexpr double kTouch = 2e-3;  // cells
+
+// Labels the pieces of one cell and orientation: pieces that share a corner, or one of whose corners lies on another's
+// border (T-junctions), get one label.
+UnionFind connect(const std::vector<const Polygon*>& pieces, const std::vector<Cell>& cells) {
+  UnionFind sets(pieces.size());
+  if (pieces.size() == 1) return sets;
+  std::vector<std::pair<std::array<int32_t, 3>, uint32_t>> corners;
+  for (uint32_t i = 0; i < pieces.size(); ++i)
+    for (const Point& p : *pieces[i]) {
+      std::array<int32_t, 3> q;
+      for (int a = 0; a < 3; ++a) q[a] = static_cast<int32_t>(std::lround((p[a] - cells[i][a]) * 512));
+      corners.emplace_back(q, i);
+    }
+  std::sort(corners.begin(), corners.end());
+  for (size_t k = 1; k < corners.size(); ++k)
+    if (corners[k].first == corners[k - 1].first) sets.join(corners[k].second, corners[k - 1].second);
+  constexpr size_t kMostPairs = 400;  // past this the cell is crowded, and crumbs are joined by nearness anyway
+  if (pieces.size() <= kMostPairs)
+    for (uint32_t i = 0; i < pieces.size(); ++i)
+      for (uint32_t j = i + 1; j < pieces.size(); ++j)
+        if (sets.find(i) != sets.find(j) &&
+            (cornerOnBorder(*pieces[i], *pieces[j], kTouch) || cornerOnBorder(*pieces[j], *pieces[i], kTouch)))
+          sets.join(i, j);
+  return sets;
+}
+
+}  // namespace
+
+class PatchBuilder {
+ public:
+  PatchBuilder(const Scene& scene, const PatchSettings& settings) : scene_(scene), settings_(settings) {}
+
+  Result<PatchSet> build() {
+    const float s = settings_.cell_m;
+    if (!(s > 0) || !std::isfinite(s))
+      return Error{ErrorCode::kUsage, scene_.name, "", "patch size must be positive", "give --patch-size in metres"};
+    float largest = 0;
+    for (const Vec3& p : scene_.positions)
+      for (int a = 0; a < 3; ++a) largest = std::max(largest, std::abs(p[a]));
+    if (largest / s >= static_cast<float>(kCellBias - 2))
+      return Error{ErrorCode::kUsage, scene_.name, "", "the scene spans more than 2^20 cells from the origin",
+                   "use a larger --patch-size"};
+    eps_ = std::max(1e-4, 4.0 * static_cast<double>(largest) * 0x1p-24 / static_cast<double>(s));
+    if (auto cut = cutTriangles(); !cut) return cut.error();
+    makeSides();
+    formPatches();
+    measure();
+    return std::move(set_);
+  }
+
+ private:
+  struct Side {
+    uint64_t key;
+    uint32_t orientation;
+    uint32_t piece;
+    uint32_t back;  // 1: the back of a double-sided piece
+  };
+
+  Result<void> cutTriangles() {
+    constexpr size_t kChunk = 1024;
+    const size_t n = scene_.triangles.size(), chunks = (n + kChunk - 1) / kChunk;
+    // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
+    double bound = 0;
+    const double s = static_cast<double>(settings_.cell_m);
+    for (uint32_t t = 0; t < n; ++t) bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s);
+    if (bound > 5e8)
+      return Error{ErrorCode::kUsage, scene_.name, "",
+                   "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
+                   "use a larger --patch-size"};
+    std::vector<std::vector<PieceOf>> parts(chunks);
+    tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
+      for (size_t t = c * kChunk; t < std::min(n, (c + 1) * kChunk); ++t) cutTriangle(static_cast<uint32_t>(t), parts[c]);
+    });
+    set_.piece_start_.assign(n + 1, 0);
+    for (auto& part : parts) {
+      for (PieceOf& p : part) {
+        ++set_.piece_start_[p.triangle + 1];
+        pieces_.push_back(std::move(p));
+      }
+      part = {};
+    }
+    for (size_t t = 0; t < n; ++t) set_.piece_start_[t + 1] += set_.piece_start_[t];
+    if (pieces_.empty())
+      return Error{ErrorCode::kInvalidFile, scene_.name, "", "no surface with an area", "export the meshes' triangles"};
+    return {};
+  }
+
+  void cutTriangle(uint32_t t, std::vector<PieceOf>& out) const {
+    Polygon corners;
+    for (uint32_t v : scene_.triangles[t].v) {
+      const Vec3 p = scene_.positions[v];
+      const double s = static_cast<double>(settings_.cell_m);
+      corners.push_back({static_cast<double>(p.x) / s, static_cast<double>(p.y) / s, static_cast<double>(p.z) / s});
+    }
+    const size_t first = out.size();
+    clip(corners, 0, {}, vectorArea(corners), eps_, t, out);
+    // Slivers that only rounding made; at least one piece of a triangle stays.
+    const auto sliver = [](const PieceOf& p) {
+      const Point n = vectorArea(p.polygon);
+      return dot(n, n) < 1e-16;
+    };
+    if (out.size() - first > 1) {
+      const auto end = std::remove_if(out.begin() + static_cast<ptrdiff_t>(first), out.end(), sliver);
+      if (end != out.begin() + static_cast<ptrdiff_t>(first)) out.erase(end, out.end());
+    }
+    std::sort(out.begin() + static_cast<ptrdiff_t>(first), out.end(),
+              [](const PieceOf& a, const PieceOf& b) { return a.cell < b.cell; });
+  }
+
+  void makeSides() {
+    for (uint32_t i = 0; i < pieces_.size(); ++i) {
+      const uint64_t key = hilbertKey(pieces_[i].cell);
+      const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
+      sides_.push_back({key, o, i, 0});
+      if (scene_.materials[scene_.triangles[pieces_[i].triangle].material].double_sided)
+        sides_.push_back({key, o ^ 1u, i, 1});
+    }
+    tbb::parallel_sort(sides_.begin(), sides_.end(), [](const Side& a, const Side& b) {
+      return std::tie(a.key, a.orientation, a.piece, a.back) < std::tie(b.key, b.orientation, b.piece, b.back);
+    });
+  }
+
+  // Gives every side its patch: labels_ is parallel to sides_.
+  void formPatches() {
+    std::vector<size_t> group_start;
+    for (size_t i = 0; i < sides_.size(); ++i)
+      if (i == 0 || sides_[i].key != sides_[i - 1].key || sides_[i].orientation != sides_[i - 1].orientation)
+        group_start.push_back(i);
+    group_start.push_back(sides_.size());
+    const size_t groups = group_start.size() - 1;
+    labels_.resize(sides_.size());  // within the group first
+    std::vector<uint32_t> count(groups);
+    tbb::parallel_for(size_t{0}, groups,
+                      [&](size_t g) { count[g] = labelGroup(group_start[g], group_start[g + 1]); });
+    uint32_t patches = 0;
+    for (size_t g = 0; g < groups; ++g) {
+      for (size_t i = group_start[g]; i < group_start[g + 1]; ++i) labels_[i] += patches;
+      patches += count[g];
+    }
+    set_.patches.resize(patches);
+  }
+
+  uint32_t labelGroup(size_t begin, size_t end) {
+    std::vector<const Polygon*> polygons;
+    std::vector<Cell> cells;
+    for (size_t i = begin; i < end; ++i) {
+      polygons.push_back(&pieces_[sides_[i].piece].polygon);
+      cells.push_back(pieces_[sides_[i].piece].cell);
+    }
+    UnionFind sets = connect(polygons, cells);
+    struct Component {
+      double area = 0;
+      Point moment{0, 0, 0};
+      uint32_t label = 0;
+    };
+    std::vector<Component> components(polygons.size());
+    for (uint32_t i = 0; i < polygons.size(); ++i) {
+      Component& c = components[sets.find(i)];
+      const Point n = vectorArea(*polygons[i]);
+      const double area = std::sqrt(dot(n, n));
+      Point mid{0, 0, 0};
+      for (const Point& p : *polygons[i]) mid = {mid.x + p.x, mid.y + p.y, mid.z + p.z};
+      const double w = area / static_cast<double>(polygons[i]->size());
+      c.area += area;
+      c.moment = {c.moment.x + w * mid.x, c.moment.y + w * mid.y, c.moment.z + w * mid.z};
+    }
+    const auto centre = [&](const Component& c) {
+      const double a = std::max(c.area, 1e-30);
+      return Point{c.moment.x / a, c.moment.y / a, c.moment.z / a};
+    };
+    std::vector<uint32_t> whole;  // components that are patches of their own
+    for (uint32_t i = 0; i < components.size(); ++i)
+      if (sets.find(i) == i && components[i].area >= static_cast<double>(settings_.crumb_fraction)) whole.push_back(i);
+    if (whole.empty()) {  // crumbs only: one patch together
+      for (size_t i = begin; i < end; ++i) labels_[i] = 0;
+      return 1;
+    }
+    for (uint32_t k = 0; k < whole.size(); ++k) components[whole[k]].label = k;
+    for (uint32_t i = 0; i < components.size(); ++i) {
+      if (sets.find(i) != i || components[i].area >= static_cast<double>(settings_.crumb_fraction)) continue;
+      double best = 1e300;
+      for (uint32_t w : whole) {
+        const Point d = centre(components[i]) - centre(components[w]);
+        if (dot(d, d) < best) {
+          best = dot(d, d);
+          components[i].label = components[w].label;
+        }
+      }
+    }
+    for (size_t i = begin; i < end; ++i) labels_[i] = components[sets.find(static_cast<uint32_t>(i - begin))].label;
+    return static_cast<uint32_t>(whole.size());
+  }
+
+  // Triangulates the pieces by patch and averages what a patch carries.
+  void measure() {
+    set_.cell_m = settings_.cell_m;
+    set_.pieces_.resize(pieces_.size());
+    for (size_t i = 0; i < pieces_.size(); ++i) set_.pieces_[i].cell = pieces_[i].cell;
+    std::vector<uint32_t> order(sides_.size());
+    std::iota(order.begin(), order.end(), 0u);
+    std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return labels_[a] < labels_[b]; });
+    std::vector<uint32_t> start(set_.patches.size() + 1, 0);  // into order
+    for (uint32_t l : labels_) ++start[l + 1];
+    for (size_t p = 0; p < set_.patches.size(); ++p) start[p + 1] += start[p];
+    uint32_t triangles = 0;
+    for (uint32_t p = 0; p < set_.patches.size(); ++p) {
+      Patch& patch = set_.patches[p];
+      patch.first_triangle = triangles;
+      for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
+        const Side& side = sides_[order[k]];
+        triangles += static_cast<uint32_t>(pieces_[side.piece].polygon.size()) - 2;
+        set_.pieces_[side.piece].patch[side.back] = p;
+        patch.cell = pieces_[side.piece].cell;
+        patch.key = side.key;
+        patch.orientation = side.orientation;
+      }
+      patch.triangles = triangles - patch.first_triangle;
+    }
+    set_.triangles.resize(triangles);
+    tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, order, start); });
+    for (const Patch& p : set_.patches) set_.area_m2 += static_cast<double>(p.area_m2);
+  }
+
+  void measurePatch(size_t p, const std::vector<uint32_t>& order, const std::vector<uint32_t>& start) {
+    Patch& patch = set_.patches[p];
+    uint32_t at = patch.first_triangle;
+    double area = 0, solid = 0;
+    SurfaceMean mean;
+    Point centre{0, 0, 0};
+    Vec3 normal;
+    const float s = settings_.cell_m;
+    for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
+      const Side& side = sides_[order[k]];
+      const PieceOf& piece = pieces_[side.piece];
+      const auto metres = [&](size_t i) {
+        const Point& c = piece.polygon[i];
+        return Vec3{static_cast<float>(c.x * static_cast<double>(s)), static_cast<float>(c.y * static_cast<double>(s)),
+                    static_cast<float>(c.z * static_cast<double>(s))};
+      };
+      for (size_t i = 1; i + 1 < piece.polygon.size(); ++i) {
+        PatchTriangle& t = set_.triangles[at++];
+        t.a = metres(0);
+        t.b = metres(side.back ? i + 1 : i);
+        t.c = metres(side.back ? i : i + 1);
+        t.source = piece.triangle;
+        const Vec3 n = cross(t.b - t.a, t.c - t.a) * 0.5f;
+        const float whole = length(n);
+        const float opaque = whole * mean.add(scene_, t.source, t.a, t.b, t.c, whole);
+        area += static_cast<double>(whole);
+        solid += static_cast<double>(opaque);
+        t.cumulative_area = static_cast<float>(solid);
+        normal += n;
+        const Vec3 mid = (t.a + t.b + t.c) / 3.0f;
+        centre = {centre.x + static_cast<double>(whole * mid.x), centre.y + static_cast<double>(whole * mid.y),
+                  centre.z + static_cast<double>(whole * mid.z)};
+        patch.bounds.add(t.a);
+        patch.bounds.add(t.b);
+        patch.bounds.add(t.c);
+      }
+    }
+    // A patch of holes alone, or one that underflows, keeps a token area: it has a row, and nothing sees it.
+    const double least = 1e-8 * static_cast<double>(s) * static_cast<double>(s);
+    patch.area_m2 = static_cast<float>(std::max(solid, least));
+    area = std::max(area, 1e-300);
+    patch.centroid = area > 1e-200 ? Vec3{static_cast<float>(centre.x / area), static_cast<float>(centre.y / area),
+                                          static_cast<float>(centre.z / area)}
+                                   : set_.triangles[patch.first_triangle].a;
+    patch.normal = normalized(normal);
+    patch.albedo = mean.albedo();
+    patch.emission = mean.emission();
+  }
+
+  const Scene& scene_;
+  const PatchSettings& settings_;
+  double eps_ = 1e-4;  // cells
+  std::vector<PieceOf> pieces_;  // by triangle
+  std::vector<Side> sides_;
+  std::vector<uint32_t> labels_;
+  PatchSet set_;
+};
+
+Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings) {
+  return PatchBuilder(scene, settings).build();
+}
+
+uint32_t PatchSet::searchPatch(uint32_t t, bool front, Vec3 p) const {
+  const auto first = pieces_.begin() + piece_start_[t], last = pieces_.begin() + piece_start_[t + 1];
+  if (first == last) return kNone;
+  Cell cell;
+  for (int a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(std::floor(p[a] / cell_m));
+  const auto at = std::lower_bound(first, last, cell, [](const Piece& q, const Cell& c) { return q.cell < c; });
+  if (at != last && at->cell == cell) return at->patch[front ? 0 : 1];
+  // On a cell border, or in a grid plane: the piece whose cell's box is nearest.
+  auto best = first;
+  float nearest = 1e30f;
+  const auto consider = [&](decltype(at) q) {
+    Box box;
+    const Vec3 lo{static_cast<float>(q->cell[0]), static_cast<float>(q->cell[1]), static_cast<float>(q->cell[2])};
+    box.add(lo * cell_m);
+    box.add((lo + Vec3{1, 1, 1}) * cell_m);
+    if (const float d = box.distance(p); d < nearest) {
+      nearest = d;
+      best = q;
+    }
+  };
+  if (last - first <= 64) {
+    for (auto q = first; q != last; ++q) consider(q);
+  } else {
+    for (int32_t dx = -1; dx <= 1; ++dx)
+      for (int32_t dy = -1; dy <= 1; ++dy)
+        for (int32_t dz = -1; dz <= 1; ++dz) {
+          const Cell c{cell[0] + dx, cell[1] + dy, cell[2] + dz};
+          const auto q = std::lower_bound(first, last, c, [](const Piece& r, const Cell& d) { return r.cell < d; });
+          if (q != last && q->cell == c) consider(q);
+        }
+  }
+  return best->patch[front ? 0 : 1];
+}
+
+}  // namespace ff::bake

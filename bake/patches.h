@@ -1,0 +1,69 @@
+// Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class.
+// A thin wall's two sides, and two floors in one cell, are never one patch. Crumbs (components under
+// `crumb_fraction` of a cell face) join the nearest patch of their cell and class. Double-sided surfaces get a patch a side.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "bake/hilbert.h"
+#include "bake/scene.h"
+
+namespace ff::bake {
+
+inline constexpr uint32_t kOrientations = 6;  // dominant axis of the normal and its sign: +x -x +y -y +z -z
+
+struct Patch {
+  Cell cell{};
+  uint64_t key = 0;         // hilbertKey(cell)
+  uint32_t orientation = 0;
+  float area_m2 = 0;        // cutout holes are not counted
+  Vec3 centroid, normal;    // m; area-weighted means
+  Vec3 albedo, emission;    // linear RGB; M in W/m2
+  Box bounds;
+  uint32_t first_triangle = 0, triangles = 0;  // range of PatchSet::triangles
+};
+
+// A triangle of a clipped piece; corners in metres, wound as seen from the patch's front.
+struct PatchTriangle {
+  Vec3 a, b, c;
+  float cumulative_area = 0;  // within the patch, up to and including this one; holes not counted
+  uint32_t source = 0;        // triangle of the scene
+};
+
+class PatchSet {
+ public:
+  std::vector<Patch> patches;            // sorted by (key, orientation, first piece)
+  std::vector<PatchTriangle> triangles;  // by patch
+  float cell_m = 1;
+  double area_m2 = 0;
+
+  // The patch that covers point p of scene triangle t on its front or back side; kNone where that side has none.
+  // A point that rounding puts just outside all pieces gets the piece of the nearest cell.
+  uint32_t patchAt(uint32_t t, bool front, Vec3 p) const {
+    const uint32_t first = piece_start_[t], last = piece_start_[t + 1];
+    if (last - first == 1) return pieces_[first].patch[front ? 0 : 1];
+    return searchPatch(t, front, p);
+  }
+
+ private:
+  friend class PatchBuilder;
+  struct Piece {
+    Cell cell;
+    uint32_t patch[2] = {kNone, kNone};  // front, back
+  };
+  uint32_t searchPatch(uint32_t t, bool front, Vec3 p) const;
+
+  std::vector<uint32_t> piece_start_;  // per scene triangle
+  std::vector<Piece> pieces_;          // by triangle, cells ascending
+};
+
+struct PatchSettings {
+  float cell_m = 1;
+  float crumb_fraction = 0.05f;
+};
+
+// Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.
+Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings);
+
+}  // namespace ff::bake

@@ -1,0 +1,61 @@
+// The matrix pyramid. A node of level l + 1 gathers the nodes of level l that lie in the same 2x2x2 cells and have the same
+// orientation and openness class (interiors and exteriors must not mix); areas add, exchange areas add.
+//
+// One order serves all levels: patches are sorted by (cell of the coarsest level, class, Hilbert key), so the descendants
+// of any node are consecutive at every level below it.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "bake/patches.h"
+#include "bake/pool.h"
+#include "formats/layout.h"
+
+namespace ff::bake {
+
+inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at most this many nodes
+inline constexpr uint32_t kMaxSiblings = 64;
+
+// Openness class of a patch from the fraction of its rays that reach the sky: 0 interior, 1 half open, 2 open.
+uint32_t openness(double sky_fraction);
+
+struct Hierarchy {
+  std::vector<uint32_t> number;  // of patch p in level 0's order
+  // parents[l][i]: number of node i's parent at level l + 1; non-decreasing; one vector per level but the last.
+  std::vector<std::vector<uint32_t>> parents;
+  std::vector<uint32_t> nodes;   // per level
+  // tile_start[l]: first node of each tile, then the number of nodes. Siblings never straddle a tile.
+  std::vector<std::vector<uint32_t>> tile_start;
+  uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
+};
+
+// sky_fraction: per patch.
+Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction);
+
+// What a node carries beside its row, for all nodes of a level.
+struct NodeValues {
+  formats::Node node;  // area, centroid, normal, albedo, emission, parent
+  Box bounds;
+};
+std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierarchy& hierarchy);
+std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, const Hierarchy& hierarchy, uint32_t level);
+
+// Exchange areas of level `level` >= 1 from those of the level below, on all of TBB's threads. Memory: 8 bytes an entry.
+class ClusterExchange final : public ExchangeLevel {
+ public:
+  ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes);
+  uint32_t nodes() const override { return static_cast<uint32_t>(areas_.size()); }
+  float area(uint32_t node) const override { return areas_[node]; }
+  void row(uint32_t node, ExchangeRow& out) const override;
+
+ private:
+  std::vector<float> areas_;
+  std::vector<uint64_t> start_;
+  std::vector<uint32_t> column_;
+  std::vector<float> exchange_m2_;
+  std::vector<double> sky_m2_, absorbed_m2_;
+  std::vector<Vec3> sky_direction_;
+};
+
+}  // namespace ff::bake

@@ -1,0 +1,153 @@
+#include "bake/ray_caster.h"
+
+#include <embree3/rtcore.h>
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "bake/surface_sampling.h"
+
+namespace ff::bake {
+
+struct RayCaster::State {
+  const Scene* scene = nullptr;
+  RTCDevice device = nullptr;
+  RTCScene embree = nullptr;
+  std::vector<uint32_t> source[2];  // geometry (0 opaque, 1 cutout) and primitive -> scene triangle
+  std::vector<Vec3> normals;        // per scene triangle, not normalised
+  float offset = 0;
+  std::string error;
+
+  ~State() {
+    if (embree) rtcReleaseScene(embree);
+    if (device) rtcReleaseDevice(device);
+  }
+
+  void rejectHoles(const RTCFilterFunctionNArguments* args) const {
+    // rtcIntersect1 and rtcOccluded1 only: N is 1.
+    if (args->valid[0] != -1) return;
+    const uint32_t t = source[1][RTCHitN_primID(args->hit, args->N, 0)];
+    if (isHole(*scene, t, RTCHitN_u(args->hit, args->N, 0), RTCHitN_v(args->hit, args->N, 0))) args->valid[0] = 0;
+  }
+
+  RTCRayHit cast(const Ray& ray) const {
+    RTCRayHit rh;
+    rh.ray.org_x = ray.origin.x;
+    rh.ray.org_y = ray.origin.y;
+    rh.ray.org_z = ray.origin.z;
+    rh.ray.dir_x = ray.direction.x;
+    rh.ray.dir_y = ray.direction.y;
+    rh.ray.dir_z = ray.direction.z;
+    rh.ray.tnear = 0;
+    rh.ray.tfar = std::numeric_limits<float>::infinity();
+    rh.ray.mask = ~0u;
+    rh.ray.time = 0;
+    rh.ray.flags = 0;
+    rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
+    rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);  // INCOHERENT is its default; COHERENT halves the speed of diffuse rays
+    rtcIntersect1(embree, &context, &rh);
+    return rh;
+  }
+};
+
+Result<RayCaster> RayCaster::create(const Scene& scene) {
+  auto state = std::make_unique<State>();
+  state->scene = &scene;
+  state->device = rtcNewDevice(nullptr);
+  if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
+  rtcSetDeviceErrorFunction(
+      state->device,
+      [](void* user, RTCError, const char* text) { static_cast<State*>(user)->error = text ? text : "unknown"; },
+      state.get());
+  state->embree = rtcNewScene(state->device);
+  // Robust: a ray along the edge that two triangles share must hit one of them; a miss would be a leak of sky.
+  rtcSetSceneFlags(state->embree, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneBuildQuality(state->embree, RTC_BUILD_QUALITY_MEDIUM);
+  float largest = 0;
+  state->normals.resize(scene.triangles.size());
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
+    const auto& v = scene.triangles[t].v;
+    const Vec3 a = scene.positions[v[0]], b = scene.positions[v[1]], c = scene.positions[v[2]];
+    state->normals[t] = cross(b - a, c - a);
+    for (const Vec3& p : {a, b, c})
+      for (int k = 0; k < 3; ++k) largest = std::max(largest, std::abs(p[k]));
+    state->source[scene.materials[scene.triangles[t].material].cutout ? 1 : 0].push_back(t);
+  }
+  state->offset = largest * 3e-6f;
+  for (unsigned g = 0; g < 2; ++g) {
+    const auto& source = state->source[g];
+    if (source.empty()) continue;
+    RTCGeometry geometry = rtcNewGeometry(state->device, RTC_GEOMETRY_TYPE_TRIANGLE);
+    auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                                                 sizeof(Vec3), scene.positions.size()));
+    auto* indices = static_cast<uint32_t*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                                                   3 * sizeof(uint32_t), source.size()));
+    if (!vertices || !indices) {
+      rtcReleaseGeometry(geometry);
+      return Error{ErrorCode::kIo, scene.name, "", "not enough memory for the ray caster", "bake a smaller scene"};
+    }
+    std::memcpy(vertices, scene.positions.data(), scene.positions.size() * sizeof(Vec3));
+    for (size_t i = 0; i < source.size(); ++i)
+      std::memcpy(indices + 3 * i, scene.triangles[source[i]].v.data(), 3 * sizeof(uint32_t));
+    if (g == 1) {
+      rtcSetGeometryUserData(geometry, state.get());
+      const RTCFilterFunctionN filter = [](const RTCFilterFunctionNArguments* args) {
+        static_cast<const State*>(args->geometryUserPtr)->rejectHoles(args);
+      };
+      rtcSetGeometryIntersectFilterFunction(geometry, filter);
+      rtcSetGeometryOccludedFilterFunction(geometry, filter);
+    }
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometryByID(state->embree, geometry, g);
+    rtcReleaseGeometry(geometry);
+  }
+  rtcCommitScene(state->embree);
+  if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
+  return RayCaster(std::move(state));
+}
+
+RayCaster::RayCaster(std::unique_ptr<State> state) : state_(std::move(state)) {}
+RayCaster::RayCaster(RayCaster&&) noexcept = default;
+RayCaster& RayCaster::operator=(RayCaster&&) noexcept = default;
+RayCaster::~RayCaster() = default;
+
+Hit RayCaster::nearest(const Ray& ray) const {
+  const RTCRayHit rh = state_->cast(ray);
+  if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return {};
+  Hit hit;
+  hit.triangle = state_->source[rh.hit.geomID][rh.hit.primID];
+  hit.front = dot(state_->normals[hit.triangle], ray.direction) < 0;
+  hit.point = ray.origin + ray.direction * rh.ray.tfar;
+  return hit;
+}
+
+bool RayCaster::occluded(const Ray& ray, float distance_m) const {
+  RTCRay r;
+  r.org_x = ray.origin.x;
+  r.org_y = ray.origin.y;
+  r.org_z = ray.origin.z;
+  r.dir_x = ray.direction.x;
+  r.dir_y = ray.direction.y;
+  r.dir_z = ray.direction.z;
+  r.tnear = 0;
+  r.tfar = distance_m;
+  r.mask = ~0u;
+  r.time = 0;
+  r.flags = 0;
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  rtcOccluded1(state_->embree, &context, &r);
+  return r.tfar < 0;
+}
+
+float RayCaster::surfaceOffset() const { return state_->offset; }
+
+uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray).hit.primID; }
+
+}  // namespace ff::bake

@@ -1,0 +1,41 @@
+// Nearest hits against a scene's triangles. The only file that sees Embree.
+#pragma once
+#include <memory>
+
+#include "bake/scene.h"
+
+namespace ff::bake {
+
+struct Ray {
+  Vec3 origin, direction;  // m; unit
+};
+
+struct Hit {
+  uint32_t triangle = kNone;  // of the scene; kNone: the sky
+  bool front = true;
+  Vec3 point;                 // m
+};
+
+class RayCaster {
+ public:
+  // Builds the acceleration structure; the scene must outlive the caster. Errors: kIo (device, out of memory).
+  static Result<RayCaster> create(const Scene& scene);
+  RayCaster(RayCaster&&) noexcept;
+  RayCaster& operator=(RayCaster&&) noexcept;
+  ~RayCaster();
+
+  // Thread-safe. Rays pass through the holes of cutout materials.
+  Hit nearest(const Ray& ray) const;
+  bool occluded(const Ray& ray, float distance_m) const;
+  // How far to lift an origin off its surface so that rounding cannot put it behind, m.
+  float surfaceOffset() const;
+  // Just rtcIntersect1, for measuring what the machine can do: the hit's primitive number or kNone.
+  uint32_t bareIntersect(const Ray& ray) const;
+
+ private:
+  struct State;
+  explicit RayCaster(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace ff::bake

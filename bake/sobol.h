@@ -1,0 +1,86 @@
+// Four-dimensional Owen-scrambled Sobol points, seeded by an integer: a patch's rays depend on its number alone.
+// Stephen Joe, Frances Kuo. Constructing Sobol sequences with better two-dimensional projections. 2008 (directions).
+// Brent Burley. Practical hash-based Owen scrambling. Journal of Computer Graphics Techniques 9(4), 2020 (scrambling).
+#pragma once
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace ff::bake {
+
+// Finaliser of MurmurHash3 over 64 bits: spreads patch numbers and seeds.
+inline uint64_t mix64(uint64_t h) {
+  h ^= h >> 33;
+  h *= 0xff51afd7ed558ccdull;
+  h ^= h >> 33;
+  h *= 0xc4ceb9fe1a85ec53ull;
+  h ^= h >> 33;
+  return h;
+}
+
+class SobolTable {
+ public:
+  using Point = std::array<uint32_t, 4>;  // bit-reversed, ready for scrambling
+
+  explicit SobolTable(uint32_t count) : points_(count) {
+    // Direction numbers of dimensions 1-4 (van der Corput; x+1; x^2+x+1; x^3+x+1), 32 bits each.
+    static constexpr uint32_t kDegree[4] = {0, 1, 2, 3};
+    static constexpr uint32_t kPoly[4] = {0, 0, 1, 1};
+    static constexpr uint32_t kInit[4][3] = {{}, {1}, {1, 3}, {1, 3, 1}};
+    std::array<std::array<uint32_t, 32>, 4> v{};
+    for (uint32_t d = 0; d < 4; ++d) {
+      const uint32_t s = kDegree[d];
+      for (uint32_t k = 0; k < 32; ++k) {
+        if (d == 0) {
+          v[d][k] = 1u << (31 - k);
+        } else if (k < s) {
+          v[d][k] = kInit[d][k] << (31 - k);
+        } else {
+          v[d][k] = v[d][k - s] ^ (v[d][k - s] >> s);
+          for (uint32_t j = 1; j < s; ++j) v[d][k] ^= ((kPoly[d] >> (s - 1 - j)) & 1u) * v[d][k - j];
+        }
+      }
+    }
+    for (uint32_t i = 0; i < count; ++i) {
+      for (uint32_t d = 0; d < 4; ++d) {
+        uint32_t x = 0;
+        for (uint32_t k = 0; k < 32 && (i >> k); ++k) x ^= (i >> k & 1u) * v[d][k];
+        points_[i][d] = reverse(x);
+      }
+    }
+  }
+
+  // Point i of the sequence scrambled by `seeds`, in [0, 1)^4.
+  std::array<float, 4> point(uint32_t i, const std::array<uint32_t, 4>& seeds) const {
+    std::array<float, 4> u;
+    for (uint32_t d = 0; d < 4; ++d) {
+      uint32_t x = points_[i][d];
+      x += seeds[d];  // Laine-Karras permutation: each bit depends only on lower bits of the reversed number
+      x ^= x * 0x6c50b47cu;
+      x ^= x * 0xb82f1e52u;
+      x ^= x * 0xc7afe638u;
+      x ^= x * 0x8d22f6e6u;
+      u[d] = static_cast<float>(reverse(x) >> 8) * 0x1p-24f;
+    }
+    return u;
+  }
+
+  static std::array<uint32_t, 4> seeds(uint64_t seed, uint64_t patch) {
+    const uint64_t a = mix64(seed * 0x9e3779b97f4a7c15ull + patch), b = mix64(a + 0x632be59bd9b4e019ull);
+    return {static_cast<uint32_t>(a), static_cast<uint32_t>(a >> 32), static_cast<uint32_t>(b),
+            static_cast<uint32_t>(b >> 32)};
+  }
+
+  uint32_t count() const { return static_cast<uint32_t>(points_.size()); }
+
+ private:
+  static uint32_t reverse(uint32_t x) {
+    x = __builtin_bswap32(x);
+    x = (x & 0x0f0f0f0fu) << 4 | (x >> 4 & 0x0f0f0f0fu);
+    x = (x & 0x33333333u) << 2 | (x >> 2 & 0x33333333u);
+    return (x & 0x55555555u) << 1 | (x >> 1 & 0x55555555u);
+  }
+  std::vector<Point> points_;
+};
+
+}  // namespace ff::bake

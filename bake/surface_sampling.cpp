@@ -1,0 +1,144 @@
+#include "bake/surface_sampling.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+
+namespace ff::bake {
+namespace {
+
+// IEC 61966-2-1:1999.
+const std::array<float, 256>& srgbToLinear() {
+  static const std::array<float, 256> table = [] {
+    std::array<float, 256> t{};
+    for (int i = 0; i < 256; ++i) {
+      const double v = i / 255.0;
+      t[static_cast<size_t>(i)] = static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
+    }
+    return t;
+  }();
+  return table;
+}
+
+struct Texel {
+  Vec3 rgb{1, 1, 1};
+  float alpha = 1;
+};
+
+Texel texel(const Image& image, Vec2 uv, bool repeat) {
+  const auto wrap = [repeat](float u, uint32_t n) {
+    u = repeat ? u - std::floor(u) : std::clamp(u, 0.0f, 1.0f);
+    return std::min(n - 1, static_cast<uint32_t>(u * static_cast<float>(n)));
+  };
+  const size_t at = 4 * (size_t{wrap(uv.y, image.height)} * image.width + wrap(uv.x, image.width));
+  const auto& linear = srgbToLinear();
+  return {{linear[image.rgba[at]], linear[image.rgba[at + 1]], linear[image.rgba[at + 2]]},
+          static_cast<float>(image.rgba[at + 3]) / 255.0f};
+}
+
+Vec2 interpolate(const std::vector<Vec2>& uv, const Triangle& t, float b, float c) {
+  const Vec2 p = uv[t.v[0]], q = uv[t.v[1]], r = uv[t.v[2]];
+  const float a = 1 - b - c;
+  return {a * p.x + b * q.x + c * r.x, a * p.y + b * q.y + c * r.y};
+}
+
+}  // namespace
+
+float triangleArea(const Scene& scene, uint32_t t) {
+  const auto& v = scene.triangles[t].v;
+  const Vec3 a = scene.positions[v[0]];
+  return 0.5f * length(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a));
+}
+
+Vec3 triangleNormal(const Scene& scene, uint32_t t) {
+  const auto& v = scene.triangles[t].v;
+  const Vec3 a = scene.positions[v[0]];
+  return normalized(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a));
+}
+
+bool isHole(const Scene& scene, uint32_t t, float b, float c) {
+  const Material& m = scene.materials[scene.triangles[t].material];
+  if (!m.cutout) return false;
+  float alpha = m.alpha;
+  if (m.base_image != kNone && !scene.uv0.empty())
+    alpha *= texel(scene.images[m.base_image], interpolate(scene.uv0, scene.triangles[t], b, c), m.repeat).alpha;
+  return alpha < m.alpha_cutoff;
+}
+
+std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p) {
+  const auto& v = scene.triangles[t].v;
+  const Vec3 a = scene.positions[v[0]], e1 = scene.positions[v[1]] - a, e2 = scene.positions[v[2]] - a, d = p - a;
+  const float d11 = dot(e1, e1), d12 = dot(e1, e2), d22 = dot(e2, e2), dp1 = dot(d, e1), dp2 = dot(d, e2);
+  const float det = d11 * d22 - d12 * d12;
+  if (!(std::abs(det) > 0)) return {0.0f, 0.0f};
+  return {(d22 * dp1 - d12 * dp2) / det, (d11 * dp2 - d12 * dp1) / det};
+}
+
+float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, float area_m2) {
+  const Material& m = scene.materials[scene.triangles[t].material];
+  const bool base = m.base_image != kNone && !scene.uv0.empty();
+  const bool glow = m.emission_image != kNone && !scene.uv1.empty();
+  uint32_t points = 1;
+  if (base || glow) {  // about one point a texel
+    const auto size = [&](uint32_t image) {
+      return static_cast<double>(scene.images[image].width) * static_cast<double>(scene.images[image].height);
+    };
+    const auto& uv = base ? scene.uv0 : scene.uv1;
+    const auto& v = scene.triangles[t].v;
+    const Vec2 a = uv[v[0]], b = uv[v[1]], c = uv[v[2]];
+    const double uv_area = 0.5 * std::abs(static_cast<double>((b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)));
+    const double whole = std::max(1e-20, static_cast<double>(triangleArea(scene, t)));
+    const double texels =
+        uv_area * size(base ? m.base_image : m.emission_image) * static_cast<double>(area_m2) / whole;
+    points = static_cast<uint32_t>(std::clamp(texels, 4.0, 64.0));
+  }
+  uint32_t solid = 0;
+  Vec3 colour, light;
+  for (uint32_t i = 0; i < points; ++i) {
+    // R2 sequence: Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018.
+    float u = std::fmod(0.5f + static_cast<float>(i) * 0.7548776662f, 1.0f);
+    float w = std::fmod(0.5f + static_cast<float>(i) * 0.5698402910f, 1.0f);
+    if (u + w > 1) {
+      u = 1 - u;
+      w = 1 - w;
+    }
+    if (points == 1) u = w = 1.0f / 3;
+    Vec3 rgb{1, 1, 1}, emitted{1, 1, 1};
+    if (base || glow || m.cutout) {
+      const auto [b, c] = barycentric(scene, t, p + (q - p) * u + (r - p) * w);
+      if (isHole(scene, t, b, c)) continue;
+      const Triangle& tri = scene.triangles[t];
+      if (base) rgb = texel(scene.images[m.base_image], interpolate(scene.uv0, tri, b, c), m.repeat).rgb;
+      if (glow) emitted = texel(scene.images[m.emission_image], interpolate(scene.uv1, tri, b, c), m.repeat).rgb;
+    }
+    ++solid;
+    colour += rgb;
+    light += emitted;
+  }
+  if (solid == 0) return 0;
+  const float fraction = static_cast<float>(solid) / static_cast<float>(points);
+  const double w = static_cast<double>(area_m2 * fraction) / solid;
+  weight_ += static_cast<double>(area_m2 * fraction);
+  for (int a = 0; a < 3; ++a) {
+    albedo_[a] += w * static_cast<double>(colour[a] * m.base_color[a] * (1 - m.metallic));
+    emission_[a] += w * static_cast<double>(light[a] * m.emission[a]);
+  }
+  return fraction;
+}
+
+Vec3 SurfaceMean::albedo() const {
+  Vec3 v;
+  for (int a = 0; a < 3; ++a)
+    v[a] = weight_ > 0 ? std::clamp(static_cast<float>(albedo_[a] / weight_), 0.0f, 1.0f) : 0.0f;
+  return v;
+}
+
+Vec3 SurfaceMean::emission() const {
+  Vec3 v;
+  for (int a = 0; a < 3; ++a)
+    v[a] = weight_ > 0 ? static_cast<float>(emission_[a] / weight_ * std::numbers::pi) : 0.0f;
+  return v;
+}
+
+}  // namespace ff::bake

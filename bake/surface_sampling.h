@@ -1,0 +1,27 @@
+// What a material is like at and over a piece of surface: albedo, emission, holes.
+#pragma once
+#include "bake/scene.h"
+
+namespace ff::bake {
+
+float triangleArea(const Scene& scene, uint32_t t);  // m2
+Vec3 triangleNormal(const Scene& scene, uint32_t t);  // unit
+// Whether a cutout triangle lets a ray through at a point; b, c: barycentric weights of corners 1 and 2.
+bool isHole(const Scene& scene, uint32_t t, float b, float c);
+// Barycentric weights of corners 1 and 2 at point p of triangle t's plane.
+std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p);
+
+// Area-weighted means over pieces; textures are averaged at up to 64 well-spread points a piece, more for larger pieces.
+class SurfaceMean {
+ public:
+  // Adds piece (p, q, r) of scene triangle t, area_m2 large; returns the fraction of it that is not hole.
+  float add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, float area_m2);
+  Vec3 albedo() const;
+  Vec3 emission() const;  // radiosity, W/m2: pi * radiance
+
+ private:
+  double weight_ = 0;
+  double albedo_[3] = {}, emission_[3] = {};
+};
+
+}  // namespace ff::bake

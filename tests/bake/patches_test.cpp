@@ -1,0 +1,155 @@
+#include "bake/patches.h"
+
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "tests/bake/analytic_scenes.h"
+
+namespace ff::bake::test {
+namespace {
+
+double areaOf(const PatchSet& set) {
+  double area = 0;
+  for (const Patch& p : set.patches) area += static_cast<double>(p.area_m2);
+  return area;
+}
+
+TEST(Patches, TheFacesOfAVoxelLieInTheVoxelsOwnCell) {
+  // Unit cube (2..3, 4..5, -1..0), faces outwards: the grid planes it lies in also bound six other cells.
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  const auto p = [](int x, int y, int z) { return Vec3{2.0f + static_cast<float>(x), 4.0f + static_cast<float>(y), -1.0f + static_cast<float>(z)}; };
+  addQuad(s, p(0, 1, 0), p(0, 1, 1), p(1, 1, 1), p(1, 1, 0), m);
+  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1), m);
+  addQuad(s, p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1), m);
+  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), m);
+  addQuad(s, p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1), m);
+  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0), m);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  ASSERT_EQ(set->patches.size(), 6u);
+  std::set<uint32_t> orientations;
+  for (const Patch& patch : set->patches) {
+    EXPECT_EQ(patch.cell, (Cell{2, 4, -1}));
+    EXPECT_FLOAT_EQ(patch.area_m2, 1.0f);
+    orientations.insert(patch.orientation);
+  }
+  EXPECT_EQ(orientations.size(), 6u);
+}
+
+TEST(Patches, TwoFloorsInOneCellAreTwoPatches) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  for (float y : {0.2f, 0.7f}) addQuad(s, {0, y, 0}, {0, y, 1}, {1, y, 1}, {1, y, 0}, m);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  EXPECT_EQ(set->patches.size(), 2u);
+}
+
+TEST(Patches, FloorsOnBothSidesOfAThinWallAreTwoPatches) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 1}, {0.45f, 0.5f, 1}, {0.45f, 0.5f, 0}, m);
+  addQuad(s, {0.55f, 0.5f, 0}, {0.55f, 0.5f, 1}, {1, 0.5f, 1}, {1, 0.5f, 0}, m);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  EXPECT_EQ(set->patches.size(), 2u);
+}
+
+TEST(Patches, ATJunctionConnects) {
+  // One long quad beside two short ones; no corner of the middle is shared.
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 0.5f}, {1, 0.5f, 0.5f}, {1, 0.5f, 0}, m);
+  addQuad(s, {0.3f, 0.5f, 0.5f}, {0.3f, 0.5f, 1}, {0.7f, 0.5f, 1}, {0.7f, 0.5f, 0.5f}, m);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  EXPECT_EQ(set->patches.size(), 1u);
+}
+
+TEST(Patches, CrumbsJoinTheNearestPatchOfTheirCell) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0.2f, 0}, {0, 0.2f, 1}, {1, 0.2f, 1}, {1, 0.2f, 0}, m);
+  addQuad(s, {0, 0.8f, 0}, {0, 0.8f, 0.5f}, {0.5f, 0.8f, 0.5f}, {0.5f, 0.8f, 0}, m);
+  addQuad(s, {0.6f, 0.78f, 0.6f}, {0.6f, 0.78f, 0.7f}, {0.7f, 0.78f, 0.7f}, {0.7f, 0.78f, 0.6f}, m);  // 1 % of a cell face
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  ASSERT_EQ(set->patches.size(), 2u);
+  EXPECT_NEAR(areaOf(*set), 1.26, 1e-6);
+  EXPECT_EQ(set->patchAt(4, true, {0.65f, 0.78f, 0.65f}), set->patchAt(2, true, {0.2f, 0.8f, 0.2f}));
+}
+
+TEST(Patches, ADoubleSidedSurfaceHasAPatchASide) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[m].double_sided = true;
+  addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 1}, {1, 0.5f, 1}, {1, 0.5f, 0}, m);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  ASSERT_EQ(set->patches.size(), 2u);
+  const uint32_t up = set->patchAt(0, true, {0.2f, 0.5f, 0.8f}), down = set->patchAt(0, false, {0.2f, 0.5f, 0.8f});
+  EXPECT_GT(set->patches[up].normal.y, 0.99f);
+  EXPECT_LT(set->patches[down].normal.y, -0.99f);
+}
+
+TEST(Patches, TheBackOfASingleSidedSurfaceHasNone) {
+  const Scene s = parallelSquares();
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  EXPECT_EQ(set->patchAt(0, false, {0.5f, 0, 0.7f}), kNone);
+}
+
+TEST(Patches, CuttingKeepsTheAreaOfArbitraryTrianglesAndFindsEveryPointAgain) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  uint32_t state = 12345;
+  const auto random = [&] {
+    state = state * 1664525u + 1013904223u;
+    return static_cast<float>(state >> 8) * 0x1p-24f * 20 - 10;
+  };
+  double area = 0;
+  for (int i = 0; i < 200; ++i) {
+    const Vec3 a{random(), random(), random()}, b{random(), random(), random()}, c{random(), random(), random()};
+    addTriangle(s, a, b, c, m);
+    area += 0.5 * static_cast<double>(length(cross(b - a, c - a)));
+  }
+  const auto set = makePatches(s, {.cell_m = 0.7f});
+  ASSERT_TRUE(set);
+  EXPECT_NEAR(areaOf(*set) / area, 1, 1e-5);
+  int astray = 0, points = 0;
+  for (uint32_t p = 0; p < set->patches.size(); ++p)
+    for (uint32_t k = 0; k < set->patches[p].triangles; ++k) {
+      const PatchTriangle& t = set->triangles[set->patches[p].first_triangle + k];
+      ++points;
+      astray += set->patchAt(t.source, true, (t.a + t.b + t.c) / 3.0f) != p;
+    }
+  EXPECT_EQ(astray, 0) << "of " << points;
+}
+
+TEST(Patches, TheHilbertCurveVisitsEveryCubeOfCellsInOneGo) {
+  std::vector<uint64_t> keys;
+  for (int x = -4; x < 4; ++x)
+    for (int y = -4; y < 4; ++y)
+      for (int z = -4; z < 4; ++z) keys.push_back(hilbertKey({x, y, z}));
+  std::sort(keys.begin(), keys.end());
+  EXPECT_EQ(std::unique(keys.begin(), keys.end()), keys.end());
+  // 8 aligned cubes of 4x4x4 cells: 64 keys each share their prefix.
+  for (int x : {-4, 0})
+    for (int y : {-4, 0})
+      for (int z : {-4, 0}) {
+        const uint64_t prefix = hilbertAncestor(hilbertKey({x, y, z}), 2);
+        EXPECT_EQ(std::count_if(keys.begin(), keys.end(), [&](uint64_t k) { return hilbertAncestor(k, 2) == prefix; }), 64);
+      }
+}
+
+TEST(Patches, ATinyPatchSizeIsRefusedInOneLine) {
+  const auto set = makePatches(parallelSquares(), {.cell_m = 1e-8f});
+  ASSERT_FALSE(set);
+  EXPECT_EQ(set.error().code, ErrorCode::kUsage);
+  EXPECT_NE(set.error().line().find("--patch-size"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace ff::bake::test

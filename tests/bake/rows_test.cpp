@@ -1,0 +1,193 @@
+// Pooling, row sampling and the pyramid against brute force.
+#include <gtest/gtest.h>
+
+#include <map>
+
+#include "bake/pool.h"
+#include "bake/pyramid.h"
+#include "bake/row_sampling.h"
+#include "tests/bake/analytic_scenes.h"
+
+namespace ff::bake::test {
+namespace {
+
+CastScene room() { return cast(closedBox({.5f, .5f, .5f}, {}), 0.125f, 512); }
+
+std::vector<float> areasOf(const CastScene& c) {
+  std::vector<float> areas;
+  for (const Patch& p : c.set.patches) areas.push_back(p.area_m2);
+  return areas;
+}
+
+TEST(Pool, ExchangeAreasAreSymmetricAndPoolAllHits) {
+  const CastScene c = room();
+  const auto n = static_cast<uint32_t>(c.set.patches.size());
+  const PooledPatches pooled(c.rows, areasOf(c));
+  std::map<std::pair<uint32_t, uint32_t>, uint32_t> hits;
+  for (uint32_t i = 0; i < n; ++i)
+    for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) hits[{i, c.rows.column[k]}] = c.rows.count[k];
+  std::map<std::pair<uint32_t, uint32_t>, double> exchange;
+  ExchangeRow row;
+  for (uint32_t i = 0; i < n; ++i) {
+    pooled.row(i, row);
+    for (size_t k = 0; k < row.column.size(); ++k) exchange[{i, row.column[k]}] = row.area_m2[k];
+  }
+  for (const auto& [pair, x] : exchange) {
+    const auto [i, j] = pair;
+    const double a = static_cast<double>(c.set.patches[i].area_m2), b = static_cast<double>(c.set.patches[j].area_m2);
+    const uint32_t sum = hits[{i, j}] + hits[{j, i}];
+    EXPECT_DOUBLE_EQ(x, sum / (512 / a + 512 / b));
+    EXPECT_DOUBLE_EQ(x, exchange.at({j, i}));
+  }
+  for (const auto& [pair, count] : hits) EXPECT_EQ(exchange.contains(pair), count > 0 || hits[{pair.second, pair.first}] > 0);
+}
+
+TEST(Pool, HalvesTheVarianceOfARow) {
+  // Between two equal facing patches both ends cast the same number of rays; the error of many pooled estimates against
+  // a 64 times finer one shrinks by about the square root of two.
+  const CastScene coarse = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 256), fine = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 16384, 9);
+  const PooledPatches pooled(coarse.rows, areasOf(coarse)), truth(fine.rows, areasOf(fine));
+  double raw_error = 0, pooled_error = 0;
+  ExchangeRow p, t;
+  for (uint32_t i = 0; i < coarse.set.patches.size(); ++i) {
+    const double area = static_cast<double>(coarse.set.patches[i].area_m2);
+    std::map<uint32_t, double> f_raw, f_pooled;
+    for (uint64_t k = coarse.rows.start[i]; k < coarse.rows.start[i + 1]; ++k)
+      f_raw[coarse.rows.column[k]] = coarse.rows.count[k] / 256.0;
+    pooled.row(i, p);
+    for (size_t k = 0; k < p.column.size(); ++k) f_pooled[p.column[k]] = p.area_m2[k] / area;
+    truth.row(i, t);
+    for (size_t k = 0; k < t.column.size(); ++k) {
+      const double f = t.area_m2[k] / area;
+      raw_error += std::pow(f_raw[t.column[k]] - f, 2);
+      pooled_error += std::pow(f_pooled[t.column[k]] - f, 2);
+    }
+  }
+  EXPECT_LT(pooled_error, 0.65 * raw_error);
+}
+
+TEST(RowSampling, CountsSumToQExactlyAndEachIsWithinOneOfItsExpectation) {
+  const CastScene c = room();
+  const PooledPatches pooled(c.rows, areasOf(c));
+  ExchangeRow row;
+  SampledRow out;
+  for (uint32_t q : {1u, 7u, 64u, 512u, 65535u})
+    for (uint32_t i = 0; i < pooled.nodes(); i += 7) {
+      pooled.row(i, row);
+      row.sky_m2 = 0.001 * i;
+      row.absorbed_m2 = i % 3 == 0 ? 0.002 : 0;
+      const double offset = (i % 10) / 10.0;
+      sampleRow(row, pooled.area(i), q, offset, out);
+      double sum = row.sky_m2 + row.absorbed_m2;
+      for (double x : row.area_m2) sum += x;
+      std::map<uint32_t, double> expected;
+      for (size_t k = 0; k < row.column.size(); ++k) expected[row.column[k]] = row.area_m2[k] / sum * q;
+      uint32_t total = out.sky + out.absorbed;
+      for (size_t k = 0; k < out.column.size(); ++k) {
+        ASSERT_TRUE(expected.contains(out.column[k]));
+        EXPECT_LT(std::abs(out.count[k] - expected[out.column[k]]), 1 + 1e-6);
+        EXPECT_GE(out.count[k], 1u);
+        total += out.count[k];
+      }
+      EXPECT_EQ(total, q);
+      EXPECT_LT(std::abs(out.sky - row.sky_m2 / sum * q), 1 + 1e-6);
+    }
+}
+
+TEST(RowSampling, IsUnbiasedOverItsOffset) {
+  ExchangeRow row;
+  for (uint32_t j = 0; j < 50; ++j) {
+    row.column.push_back(j);
+    row.area_m2.push_back(0.001 + 0.0007 * j * (j % 4));
+  }
+  row.sky_m2 = 0.3;
+  double sum = row.sky_m2;
+  for (double x : row.area_m2) sum += x;
+  constexpr int kOffsets = 4096;
+  std::vector<double> mean(50, 0);
+  SampledRow out;
+  for (int k = 0; k < kOffsets; ++k) {
+    sampleRow(row, 1, 16, (k + 0.5) / kOffsets, out);
+    for (size_t e = 0; e < out.column.size(); ++e) mean[out.column[e]] += static_cast<double>(out.count[e]) / kOffsets;
+  }
+  // As a function of the offset each count is a step function: the midpoint rule errs by at most one step.
+  for (uint32_t j = 0; j < 50; ++j) EXPECT_NEAR(mean[j], row.area_m2[j] / sum * 16, 2.0 / kOffsets) << j;
+}
+
+TEST(RowSampling, ARowThatSeesNothingIsAbsorbed) {
+  ExchangeRow row;
+  SampledRow out;
+  sampleRow(row, 1, 512, 0.5, out);
+  EXPECT_EQ(out.absorbed, 512u);
+  EXPECT_EQ(out.sky, 0u);
+}
+
+TEST(Pyramid, SiblingsAreConsecutiveShareCellAndOrientationAndLieInOneTile) {
+  const CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.03125f, 16);
+  std::vector<float> sky(c.set.patches.size());
+  for (size_t i = 0; i < sky.size(); ++i) sky[i] = i % 5 == 0 ? 0.5f : 0.0f;
+  const Hierarchy h = makeHierarchy(c.set.patches, sky);
+  ASSERT_GE(h.levels(), 2u);
+  EXPECT_LE(h.nodes.back(), kTopNodes);
+  std::vector<uint32_t> patch_of(sky.size());
+  for (uint32_t p = 0; p < sky.size(); ++p) patch_of[h.number[p]] = p;
+  for (uint32_t i = 0; i < sky.size(); ++i) {
+    uint32_t node = i;
+    for (uint32_t l = 0; l + 1 < h.levels(); ++l) {
+      const auto& tiles = h.tile_start[l];
+      if (node > 0) {
+        EXPECT_LE(h.parents[l][node] - h.parents[l][node - 1], 1u);
+        if (std::binary_search(tiles.begin(), tiles.end(), node)) {
+          EXPECT_NE(h.parents[l][node], h.parents[l][node - 1]) << "a tile begins among siblings";
+        }
+      }
+      node = h.parents[l][node];
+    }
+  }
+  for (uint32_t i = 1; i < sky.size(); ++i) {
+    if (h.parents[0][i] != h.parents[0][i - 1]) continue;
+    const Patch &a = c.set.patches[patch_of[i]], &b = c.set.patches[patch_of[i - 1]];
+    EXPECT_EQ(hilbertAncestor(a.key, 1), hilbertAncestor(b.key, 1));
+    EXPECT_EQ(a.orientation, b.orientation);
+    EXPECT_EQ(openness(static_cast<double>(sky[patch_of[i]])), openness(static_cast<double>(sky[patch_of[i - 1]])));
+  }
+  for (const auto& tiles : h.tile_start)
+    for (size_t t = 0; t + 1 < tiles.size(); ++t) EXPECT_LE(tiles[t + 1] - tiles[t], formats::kTileNodes);
+}
+
+TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
+  const CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.05f, 64);
+  const std::vector<float> sky(c.set.patches.size(), 0);
+  const Hierarchy h = makeHierarchy(c.set.patches, sky);
+  ASSERT_GE(h.levels(), 2u);
+  const auto values = patchValues(c.set.patches, h);
+  std::vector<float> areas;
+  for (const auto& v : values) areas.push_back(v.node.area_m2);
+  const PooledPatches level0(renumber(c.rows, h.number), areas);
+  const ClusterExchange level1(level0, h.parents[0], h.nodes[1]);
+  std::map<std::pair<uint32_t, uint32_t>, double> expected;
+  std::vector<double> area(h.nodes[1]);
+  ExchangeRow row;
+  for (uint32_t i = 0; i < level0.nodes(); ++i) {
+    area[h.parents[0][i]] += static_cast<double>(areas[i]);
+    level0.row(i, row);
+    for (size_t k = 0; k < row.column.size(); ++k)
+      expected[{h.parents[0][i], h.parents[0][row.column[k]]}] += row.area_m2[k];
+  }
+  size_t entries = 0;
+  for (uint32_t n = 0; n < level1.nodes(); ++n) {
+    EXPECT_NEAR(static_cast<double>(level1.area(n)), area[n], 1e-6 * area[n]);
+    level1.row(n, row);
+    entries += row.column.size();
+    for (size_t k = 0; k < row.column.size(); ++k)  // stored as float
+      EXPECT_NEAR(row.area_m2[k], expected.at({n, row.column[k]}), 1e-7 * expected.at({n, row.column[k]}));
+  }
+  EXPECT_EQ(entries, expected.size());
+  const auto clusters = clusterValues(values, h, 1);
+  double whole = 0;
+  for (const auto& v : clusters) whole += static_cast<double>(v.node.area_m2);
+  EXPECT_NEAR(whole, 6.0, 1e-4);
+}
+
+}  // namespace
+}  // namespace ff::bake::test

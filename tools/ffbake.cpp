@@ -1,0 +1,133 @@
+// ffbake scene.glb -o world.ffm: bakes a glTF scene into a world.
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include <fmt/core.h>
+
+#include "bake/bake.h"
+#include "bake/gltf_import.h"
+#include "tools/version.h"
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// A bar with the time left on a terminal; one plain line a phase elsewhere.
+class ProgressPrinter {
+ public:
+  explicit ProgressPrinter(bool quiet) : quiet_(quiet), terminal_(isatty(STDERR_FILENO) == 1) {}
+  ~ProgressPrinter() { endLine(); }
+
+  void operator()(const char* phase, uint64_t done, uint64_t total) {
+    if (quiet_) return;
+    if (phase_ != phase) {
+      endLine();
+      phase_ = phase;
+      began_ = Clock::now();
+    }
+    const double seconds = std::chrono::duration<double>(Clock::now() - began_).count();
+    if (terminal_) {
+      const double share = total > 0 ? static_cast<double>(done) / static_cast<double>(total) : 0;
+      const auto filled = static_cast<size_t>(share * 30);
+      std::string eta = "      ";
+      if (share > 0 && share < 1 && seconds > 0.5) eta = fmt::format("{:4.0f} s left", seconds * (1 - share) / share);
+      fmt::print(stderr, "\r{:<9} [{:<30}] {:3.0f} %  {:<12}", phase, std::string(filled, '#'), share * 100, eta);
+      std::fflush(stderr);
+      open_ = true;
+    } else if (done == total) {
+      fmt::print(stderr, "{:<9} {:>10} done in {:.1f} s\n", phase, total, seconds);
+    }
+  }
+  void endLine() {
+    if (open_) fmt::print(stderr, "\n");
+    open_ = false;
+  }
+
+ private:
+  bool quiet_, terminal_, open_ = false;
+  std::string phase_;
+  Clock::time_point began_;
+};
+
+int fail(const ff::Error& error) {
+  fmt::print(stderr, "ffbake: {}\n", error.line());
+  return static_cast<int>(error.code);
+}
+
+void printSummary(const ff::bake::BakeStats& s, const std::string& out) {
+  uint64_t bytes = 0;
+  for (const auto& l : s.levels) bytes += l.stored_bytes;
+  fmt::print("{}: {} patches of {:.4g} m, {} levels, {:.1f} MB of rows\n", out, s.levels[0].nodes, static_cast<double>(s.cell_m),
+             s.levels.size(), static_cast<double>(bytes) * 1e-6);
+  fmt::print("  {:>5} {:>9} {:>6} {:>12} {:>11}\n", "level", "nodes", "tiles", "entries/row", "bytes/node");
+  for (size_t l = 0; l < s.levels.size(); ++l) {
+    const auto& v = s.levels[l];
+    fmt::print("  {:>5} {:>9} {:>6} {:>12.1f} {:>11.1f}\n", l, v.nodes, v.tiles,
+               static_cast<double>(v.entries) / v.nodes, static_cast<double>(v.stored_bytes) / v.nodes);
+  }
+  fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths\n", s.sky_fraction * 100,
+             s.absorbed_fraction * 100);
+  fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake\n", s.seconds,
+             static_cast<double>(s.rays) * 1e-6 / s.seconds);
+}
+
+nlohmann::json toJson(const ff::bake::BakeStats& s) {
+  nlohmann::json levels = nlohmann::json::array();
+  for (const auto& l : s.levels)
+    levels.push_back({{"nodes", l.nodes}, {"tiles", l.tiles}, {"entries", l.entries}, {"stored_bytes", l.stored_bytes}});
+  return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
+          {"area_m2", s.area_m2},     {"rays", s.rays},
+          {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
+          {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
+          {"levels", levels}};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Bakes a glTF scene into a Formfield world: form factors of every patch, at every level.", "ffbake"};
+  std::string scene_path, out;
+  ff::bake::BakeSettings settings;
+  std::string budget = "60k";
+  bool quiet = false, json = false, no_geometry = false;
+  app.add_option("scene", scene_path, "the scene: .glb or .gltf")->required();
+  app.add_option("-o,--output", out, "the world to write, NAME.ffm; shards are written beside it")->required();
+  app.add_option("--patch-size", settings.cell_m, "edge of a patch in metres (default: from --patch-budget)")
+      ->check(CLI::PositiveNumber);
+  app.add_option("--patch-budget", settings.patch_budget, "about how many patches to make when no size is given")
+      ->transform(CLI::AsSizeValue(true))
+      ->capture_default_str();
+  app.add_option("--rays", settings.rays, "rays per patch, 1 to 65535")->capture_default_str();
+  app.add_option("--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535")->capture_default_str();
+  app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
+  app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
+  app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
+  app.add_flag("--quiet", quiet, "no progress");
+  app.add_flag("--json", json, "print what was baked as JSON");
+  app.set_version_flag("--version", "ffbake " FF_VERSION);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? 0 : 1;
+  }
+  settings.geometry = !no_geometry;
+
+  ProgressPrinter printer(quiet);
+  auto scene = ff::bake::importGltf(scene_path);
+  if (!scene) return fail(scene.error());
+  for (const std::string& warning : scene->warnings) fmt::print(stderr, "ffbake: warning: {}\n", warning);
+  auto stats = ff::bake::bakeWorld(*scene, settings, out,
+                                   [&](const char* phase, uint64_t done, uint64_t total) { printer(phase, done, total); });
+  printer.endLine();
+  if (!stats) return fail(stats.error());
+  if (json) {
+    fmt::print("{}\n", toJson(*stats).dump());
+  } else {
+    printSummary(*stats, out);
+  }
+  return 0;
+}
