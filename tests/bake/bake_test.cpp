@@ -1,0 +1,137 @@
+// Whole bakes of small scenes, read back through formats/reader.h.
+#include "bake/bake.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <map>
+
+#include "formats/reader.h"
+#include "tests/bake/analytic_scenes.h"
+
+namespace ff::bake::test {
+namespace {
+
+class Bake : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = std::filesystem::temp_directory_path() /
+              ("ff_bake_test_" + std::to_string(getpid()) + testing::UnitTest::GetInstance()->current_test_info()->name());
+    std::filesystem::create_directories(folder_);
+  }
+  void TearDown() override { std::filesystem::remove_all(folder_); }
+  std::string path(const std::string& name) const { return (folder_ / name).string(); }
+
+  std::filesystem::path folder_;
+};
+
+TEST_F(Bake, GivesTheSameBytesForAnyNumberOfThreads) {
+  const Scene scene = sphericalCap(1.2, 12, 24);
+  for (int threads : {1, 2, 3}) {
+    std::filesystem::create_directories(folder_ / std::to_string(threads));
+    ASSERT_TRUE(bakeWorld(scene, {.cell_m = 0.05f, .rays = 64, .quanta = 64, .threads = threads},
+                          path(std::to_string(threads) + "/w.ffm")));
+  }
+  const auto read = [&](int threads) {
+    std::map<std::string, std::string> files;
+    for (const auto& entry : std::filesystem::directory_iterator(folder_ / std::to_string(threads))) {
+      std::ifstream in(entry.path(), std::ios::binary);
+      files[entry.path().filename().string()] = std::string(std::istreambuf_iterator<char>(in), {});
+    }
+    return files;
+  };
+  const auto one = read(1);
+  EXPECT_GE(one.size(), 3u);  // manifest, strips, geometry
+  EXPECT_TRUE(one == read(2));
+  EXPECT_TRUE(one == read(3));
+}
+
+TEST_F(Bake, AClosedBoxKeepsAllEnergyAtEveryLevel) {
+  ASSERT_TRUE(bakeWorld(closedBox({.5f, .5f, .5f}, {1, 1, 1}), {.cell_m = 0.03125f, .rays = 256, .quanta = 128}, path("box.ffm")));
+  auto world = formats::World::open(path("box.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  ASSERT_GE(world->levels().size(), 2u);
+  for (uint32_t l = 0; l < world->levels().size(); ++l) {
+    double area = 0;
+    for (const auto& tile : world->tiles(l)) {
+      auto strip = world->strip(tile.id);
+      ASSERT_TRUE(strip) << strip.error().line();
+      std::vector<uint64_t> sum(strip->nodes.size());
+      for (size_t e = 0; e < strip->rows.size(); ++e) sum[strip->rows[e]] += strip->counts[e];
+      for (size_t i = 0; i < strip->nodes.size(); ++i) {
+        EXPECT_EQ(sum[i], strip->nodes[i].quanta);  // nothing reaches a sky, nothing is lost
+        EXPECT_EQ(strip->nodes[i].sky + strip->nodes[i].absorbed, 0u);
+        EXPECT_NEAR(strip->nodes[i].emission.x, std::numbers::pi, 1e-3);
+        area += static_cast<double>(strip->nodes[i].area_m2);
+      }
+    }
+    EXPECT_NEAR(area, 6.0, 1e-4) << "level " << l;
+  }
+}
+
+TEST_F(Bake, AFurnaceOfAnyAlbedoReachesItsClosedForm) {
+  // B = M / (1 - rho): row sums are exactly one, so every Jacobi iterate is uniform and the limit has no sampling error.
+  for (float rho : {0.5f, 0.9f}) {
+    ASSERT_TRUE(bakeWorld(closedBox({rho, rho, rho}, {1, 1, 1}), {.cell_m = 0.125f, .rays = 128, .quanta = 64}, path("box.ffm")));
+    auto world = formats::World::open(path("box.ffm"));
+    ASSERT_TRUE(world) << world.error().line();
+    const uint32_t n = world->levels()[0].nodes;
+    std::vector<double> b(n, 0), next(n);
+    for (int k = 0; k < 400; ++k) {
+      for (const auto& tile : world->tiles(0)) {
+        auto strip = world->strip(tile.id);
+        ASSERT_TRUE(strip);
+        std::vector<double> e(strip->nodes.size());
+        size_t at = 0;
+        for (const auto& block : strip->blocks)
+          for (uint32_t q = 0; q < block.entries; ++q, ++at)
+            e[strip->rows[at]] += b[world->tiles(0)[block.partner_tile].first_node + strip->columns[at]] * strip->counts[at] /
+                                  strip->nodes[strip->rows[at]].quanta;
+        for (size_t i = 0; i < e.size(); ++i)
+          next[strip->first_node + i] = static_cast<double>(strip->nodes[i].emission.x) + static_cast<double>(strip->nodes[i].albedo.x) * e[i];
+      }
+      std::swap(b, next);
+    }
+    // Stored albedo is a 16-bit fraction and emission a float: 1e-5 of 1/(1-rho)^2 covers both.
+    const double expected = std::numbers::pi / (1 - static_cast<double>(rho));
+    for (double v : b) EXPECT_NEAR(v, expected, 1e-3 * expected);
+  }
+}
+
+TEST_F(Bake, ASceneWithoutSurfaceOrABadSettingLeavesNothingBehind) {
+  Scene empty;
+  empty.name = "empty.glb";
+  EXPECT_FALSE(bakeWorld(empty, {.cell_m = 1}, path("empty.ffm")));
+  EXPECT_FALSE(bakeWorld(parallelSquares(), {.cell_m = 1, .rays = 0}, path("bad.ffm")));
+  EXPECT_FALSE(bakeWorld(parallelSquares(), {.cell_m = 1, .quanta = 70000}, path("bad.ffm")));
+  EXPECT_TRUE(std::filesystem::is_empty(folder_));
+}
+
+TEST_F(Bake, APatchBudgetIsMetWithinATenth) {
+  const auto stats = bakeWorld(sphericalCap(2.0, 32, 64), {.patch_budget = 3000, .rays = 16, .quanta = 16}, path("cap.ffm"));
+  ASSERT_TRUE(stats) << stats.error().line();
+  EXPECT_NEAR(stats->levels[0].nodes, 3000, 450);
+}
+
+TEST_F(Bake, DrawingGeometryCoversThePatches) {
+  const auto stats = bakeWorld(sphericalCap(1.5, 16, 32), {.cell_m = 0.1f, .rays = 16, .quanta = 16}, path("cap.ffm"));
+  ASSERT_TRUE(stats);
+  auto world = formats::World::open(path("cap.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  ASSERT_TRUE(world->hasGeometry());
+  double area = 0;
+  for (uint32_t t = 0; t < world->levels()[0].tiles; ++t) {
+    const auto geometry = world->geometry(t);
+    ASSERT_TRUE(geometry) << geometry.error().line();
+    for (size_t k = 0; k < geometry->patch.size(); ++k) {
+      const Vec3 a = geometry->positions[3 * k];
+      area += 0.5 * static_cast<double>(length(cross(geometry->positions[3 * k + 1] - a, geometry->positions[3 * k + 2] - a)));
+    }
+  }
+  EXPECT_NEAR(area / stats->area_m2, 1, 1e-3);
+}
+
+}  // namespace
+}  // namespace ff::bake::test

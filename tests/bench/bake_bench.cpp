@@ -1,0 +1,209 @@
+// ff_bench_bake [--quick]: speed, size and accuracy of the baker on voxel towns, beside bare Embree in the same run.
+// Prints one JSON object a line (metric, value, unit, limit, note).
+#include <sys/resource.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <iostream>
+#include <nlohmann/json.hpp>
+#include <vector>
+
+#include "bake/bake.h"
+#include "bake/form_factor.h"
+#include "bake/gltf_import.h"
+#include "bake/pool.h"
+#include "bake/row_sampling.h"
+#include "tools/scene_glb.h"
+#include "tools/scene_town.h"
+
+namespace {
+
+using namespace ff;
+using namespace ff::bake;
+using Clock = std::chrono::steady_clock;
+
+double since(Clock::time_point t) { return std::chrono::duration<double>(Clock::now() - t).count(); }
+double median(std::vector<double> v) {
+  std::sort(v.begin(), v.end());
+  return v[v.size() / 2];
+}
+
+template <class T>
+T orExit(Result<T> result) {
+  if (!result) {
+    std::cerr << "ff_bench_bake: " << result.error().line() << "\n";
+    std::exit(static_cast<int>(result.error().code));
+  }
+  return std::move(*result);
+}
+
+void print(const char* metric, double value, const char* unit, double limit, const std::string& note) {
+  nlohmann::json j{{"metric", metric}, {"value", value}, {"unit", unit}, {"note", note}};
+  j["limit"] = std::isfinite(limit) ? nlohmann::json(limit) : nlohmann::json(nullptr);
+  std::cout << j.dump() << std::endl;
+}
+constexpr double kNoLimit = std::numeric_limits<double>::quiet_NaN();
+
+Scene town(const std::filesystem::path& folder, uint64_t patches) {
+  const std::string path = (folder / ("town" + std::to_string(patches) + ".glb")).string();
+  const tools::Town t = orExit(tools::makeTown({.patches = patches}));
+  if (auto ok = tools::writeGlb(tools::townModel(t, false), path); !ok) {
+    std::cerr << ok.error().line() << "\n";
+    std::exit(2);
+  }
+  return orExit(importGltf(path));
+}
+
+// Rays per second of rtcIntersect1 alone, all threads, over rays made beforehand: `batch` patches' rays, median of 5.
+double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays) {
+  const SobolTable sobol(rays);
+  const size_t batch = std::min<size_t>(set.patches.size(), 512), stride = set.patches.size() / batch;
+  std::vector<Ray> all(batch * rays);
+  tbb::parallel_for(size_t{0}, batch, [&](size_t b) {
+    patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster.surfaceOffset(), std::span(all).subspan(b * rays, rays));
+  });
+  std::vector<double> speeds;
+  std::atomic<uint64_t> sink{0};
+  for (int run = 0; run < 5; ++run) {
+    const auto began = Clock::now();
+    tbb::parallel_for(size_t{0}, batch, [&](size_t b) {
+      uint64_t sum = 0;
+      for (size_t k = b * rays; k < (b + 1) * rays; ++k) sum += caster.bareIntersect(all[k]);
+      sink += sum;
+    });
+    speeds.push_back(static_cast<double>(all.size()) / since(began));
+  }
+  return median(speeds);
+}
+
+// Reflected radiosity rho E of the converged solution on rows given as F(i, j) entries. 3 values a patch.
+struct Rows {
+  std::vector<uint64_t> start{0};
+  std::vector<uint32_t> column;
+  std::vector<float> f;
+  std::vector<float> sky;  // fraction
+};
+std::vector<double> reflected(const PatchSet& set, const Rows& rows, const std::vector<double>& sun) {
+  const size_t n = set.patches.size();
+  std::vector<double> source(3 * n), b(3 * n), e(3 * n), next(3 * n);
+  for (size_t i = 0; i < n; ++i)
+    for (int c = 0; c < 3; ++c)
+      source[3 * i + static_cast<size_t>(c)] = static_cast<double>(set.patches[i].emission[c]) +
+          static_cast<double>(set.patches[i].albedo[c]) * (sun[i] + std::acos(-1.0) * 2.0 * static_cast<double>(rows.sky[i]));
+  b = source;
+  for (int k = 0; k < 60; ++k) {
+    tbb::parallel_for(size_t{0}, n, [&](size_t i) {
+      double sum[3] = {};
+      for (uint64_t q = rows.start[i]; q < rows.start[i + 1]; ++q)
+        for (size_t c = 0; c < 3; ++c) sum[c] += static_cast<double>(rows.f[q]) * b[3 * rows.column[q] + c];
+      for (size_t c = 0; c < 3; ++c)
+        next[3 * i + c] = source[3 * i + c] + static_cast<double>(set.patches[i].albedo[static_cast<int>(c)]) * sum[c];
+    });
+    std::swap(b, next);
+  }
+  for (size_t i = 0; i < n; ++i)
+    for (size_t c = 0; c < 3; ++c) e[3 * i + c] = b[3 * i + c] - static_cast<double>(set.patches[i].emission[static_cast<int>(c)]);
+  return e;
+}
+
+Rows rowsOf(const PatchSet& set, HitRows hits, uint32_t quanta) {  // quanta 0: the pooled rows themselves
+  std::vector<float> areas;
+  for (const Patch& p : set.patches) areas.push_back(p.area_m2);
+  const PooledPatches pooled(std::move(hits), areas);
+  Rows rows;
+  ExchangeRow row;
+  SampledRow sampled;
+  for (uint32_t i = 0; i < pooled.nodes(); ++i) {
+    pooled.row(i, row);
+    double sum = row.sky_m2 + row.absorbed_m2;
+    for (double x : row.area_m2) sum += x;
+    if (quanta > 0) {
+      sampleRow(row, areas[i], quanta, static_cast<double>(mix64(i + 1) >> 11) * 0x1p-53, sampled);
+      for (size_t k = 0; k < sampled.column.size(); ++k) {
+        rows.column.push_back(sampled.column[k]);
+        rows.f.push_back(static_cast<float>(sampled.count[k]) / static_cast<float>(quanta));
+      }
+      rows.sky.push_back(static_cast<float>(sampled.sky) / static_cast<float>(quanta));
+    } else {
+      for (size_t k = 0; k < row.column.size(); ++k) {
+        rows.column.push_back(row.column[k]);
+        rows.f.push_back(static_cast<float>(row.area_m2[k] / sum));
+      }
+      rows.sky.push_back(static_cast<float>(row.sky_m2 / sum));
+    }
+    rows.start.push_back(rows.column.size());
+  }
+  return rows;
+}
+
+// Relative L2 of reflected radiosity, sun and sky, rows of `rays` and `quanta` against pooled rows of 16384 other rays.
+double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint32_t quanta) {
+  const Vec3 to_sun = normalized({0.4f, 0.8f, 0.3f});
+  std::vector<double> sun(set.patches.size());
+  for (size_t i = 0; i < sun.size(); ++i) {
+    const Patch& p = set.patches[i];
+    const float c = dot(p.normal, to_sun);
+    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset()), to_sun}, 1e9f)) sun[i] = 10.0 * static_cast<double>(c);
+  }
+  std::atomic<uint64_t> done{0};
+  const auto t = reflected(set, rowsOf(set, castRows(scene, set, caster, 16384, 77, done), 0), sun);
+  const auto x = reflected(set, rowsOf(set, castRows(scene, set, caster, rays, 1, done), quanta), sun);
+  double error = 0, norm = 0;
+  for (size_t k = 0; k < t.size(); ++k) {
+    error += (x[k] - t[k]) * (x[k] - t[k]);
+    norm += t[k] * t[k];
+  }
+  return std::sqrt(error / norm);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const bool quick = argc > 1 && std::strcmp(argv[1], "--quick") == 0;
+  const uint64_t patches = quick ? 8000 : 60000, small = quick ? 2000 : 8000, accurate = quick ? 4000 : 16000;
+  const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_bake_" + std::to_string(getpid()));
+  std::filesystem::create_directories(folder);
+  const std::string name = "voxel town, 4096 rays, Q = 512";
+
+  const Scene scene = town(folder, patches);
+  const PatchSet set = orExit(makePatches(scene, {.cell_m = 1}));
+  const RayCaster caster = orExit(RayCaster::create(scene));
+  const double before = bareRaysPerSecond(scene, set, caster, 4096);
+  const BakeStats stats = orExit(bakeWorld(scene, {.cell_m = 1}, (folder / "town.ffm").string()));
+  const double after = bareRaysPerSecond(scene, set, caster, 4096);
+  const double bare = (before + after) / 2;  // around the bake, since the machine's speed drifts
+  const double speed = static_cast<double>(stats.rays) / stats.seconds;
+  const std::string note = name + ", " + std::to_string(stats.levels[0].nodes) + " patches, whole bake after import";
+  print("bake.rays_per_s", speed, "rays/s", bare, note + "; limit: bare rtcIntersect1, same rays, all threads");
+  print("bake.ratio_to_bare_embree", speed / bare, "ratio", 1, note);
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  print("bake.peak_mib", static_cast<double>(usage.ru_maxrss) / 1024, "MiB", kNoLimit, note);
+  uint64_t all = 0;
+  for (const auto& l : stats.levels) all += l.stored_bytes;
+  const auto& level0 = stats.levels[0];
+  constexpr double kIndexRecord = 64;  // FORMAT.md: bytes of a strip's index record
+  const double level0_bytes = static_cast<double>(level0.stored_bytes) + kIndexRecord * level0.tiles;
+  print("bake.bytes_per_patch", level0_bytes / level0.nodes, "B", 190, note + "; level 0: rows, node records, index");
+  print("bake.entries_per_row", static_cast<double>(level0.entries) / level0.nodes, "entries", kNoLimit, note);
+  print("bake.pyramid_over_level0", static_cast<double>(all) / static_cast<double>(level0.stored_bytes), "ratio", 1.6, note);
+
+  const Scene little = town(folder, small);
+  const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1}, (folder / "little.ffm").string()));
+  print("bake.cost_growth", (stats.seconds / level0.nodes) / (little_stats.seconds / little_stats.levels[0].nodes), "ratio", 1,
+        "seconds a patch at " + std::to_string(level0.nodes) + " patches over that at " + std::to_string(little_stats.levels[0].nodes));
+
+  const Scene probe = town(folder, accurate);
+  const PatchSet probe_set = orExit(makePatches(probe, {.cell_m = 1}));
+  const RayCaster probe_caster = orExit(RayCaster::create(probe));
+  print("bake.measured_error", rowError(probe, probe_set, probe_caster, 4096, 512), "relative L2", kNoLimit,
+        "reflected radiosity, sun and sky, against pooled rows of 16384 other rays; " + std::to_string(probe_set.patches.size()) + " patches");
+  std::filesystem::remove_all(folder);
+  return 0;
+}
