@@ -14,11 +14,15 @@ namespace {
 
 constexpr size_t kChunk = 64;  // patches cast by one task
 
+struct Frame {
+  Vec3 normal, tangent, bitangent;
+};
+
 // Tom Duff et al. Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
-void basis(Vec3 n, Vec3& t, Vec3& b) {
+Frame frameOf(const PatchTriangle& t) {
+  const Vec3 n = normalized(cross(t.b - t.a, t.c - t.a));
   const float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
-  t = {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x};
-  b = {c, sign + n.y * n.y * a, -n.y};
+  return {n, {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x}, {c, sign + n.y * n.y * a, -n.y}};
 }
 
 Vec3 pointInTriangle(const PatchTriangle& t, float u, float v) {
@@ -45,6 +49,9 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
   const auto seeds = SobolTable::seeds(seed, patch);
+  std::vector<Frame> frames;
+  frames.reserve(triangles.size());
+  for (const PatchTriangle& t : triangles) frames.push_back(frameOf(t));
   for (uint32_t i = 0; i < rays.size(); ++i) {
     const auto u = sobol.point(i, seeds);
     float pick = u[0], v = u[1];
@@ -64,13 +71,11 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
       pick = std::fmod(pick + 0.6180339887f, 1.0f);
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
-    const Vec3 n = normalized(cross(t->b - t->a, t->c - t->a));
-    Vec3 tangent, bitangent;
-    basis(n, tangent, bitangent);
+    const Frame& frame = frames[static_cast<size_t>(t - triangles.data())];
     const float r = std::sqrt(u[2]), phi = 2 * std::numbers::pi_v<float> * u[3];
-    const float z = std::sqrt(std::max(0.0f, 1 - u[2]));
-    rays[i].origin = origin + n * surface_offset;
-    rays[i].direction = normalized(tangent * (r * std::cos(phi)) + bitangent * (r * std::sin(phi)) + n * z);
+    rays[i].origin = origin + frame.normal * surface_offset;
+    rays[i].direction = frame.tangent * (r * std::cos(phi)) + frame.bitangent * (r * std::sin(phi)) +
+                        frame.normal * std::sqrt(1 - u[2]);
   }
 }
 
