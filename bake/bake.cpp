@@ -115,9 +115,15 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   return key;
 }
 
+// What sampling a tile's rows showed.
+struct Sampling {
+  double deviation = 0;  // see WorldInfo::row_total_deviation
+  uint64_t clamped = 0;
+};
+
 // The rows of one tile, sampled and laid out as a strip.
 formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeLevel& exchange,
-                         std::span<const NodeValues> values, const BakeSettings& s, double& deviation) {
+                         std::span<const NodeValues> values, const BakeSettings& s, Sampling& sampling) {
   const auto& tiles = h.tile_start[id.level];
   formats::Strip strip;
   strip.id = id;
@@ -134,12 +140,16 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     exchange.row(n, row);
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
     sampleRow(row, exchange.area(n), s.quanta, offset, sampled);
-    deviation = std::max(deviation, std::abs(sampled.total - 1));
+    sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     formats::Node node = values[n].node;
     node.quanta = s.quanta;
     node.sky = sampled.sky;
     node.absorbed = sampled.absorbed;
     node.sky_direction = row.sky_direction;
+    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(s.quanta);
+    const float most = seen > 0 ? kMostReflected / seen : 1;
+    if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
+    node.albedo = ff::min(node.albedo, {most, most, most});
     strip.nodes.push_back(node);
     for (size_t k = 0; k < sampled.column.size(); ++k) {
       const uint32_t j = sampled.column[k];
@@ -238,17 +248,18 @@ Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, co
       for (uint32_t first = 0; first < level.tiles; first += kBatch) {
         const uint32_t count = std::min(kBatch, level.tiles - first);
         std::vector<std::unique_ptr<Result<formats::EncodedStrip>>> encoded(count);
-        std::vector<double> deviations(count, 0);
+        std::vector<Sampling> sampling(count);
         tbb::parallel_for(0u, count, [&](uint32_t k) {
           const formats::Strip strip =
-              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], settings, deviations[k]);
+              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], settings, sampling[k]);
           Box bounds;
           for (size_t i = 0; i < strip.nodes.size(); ++i) bounds.add(values[l][strip.first_node + i].bounds);
           encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds));
         });
         for (uint32_t k = 0; k < count; ++k) {
           if (!*encoded[k]) return encoded[k]->error();
-          deviation = std::max(deviation, deviations[k]);
+          deviation = std::max(deviation, sampling[k].deviation);
+          stats.clamped_nodes += sampling[k].clamped;
           level.entries += (*encoded[k])->info.entries;
           level.stored_bytes += (*encoded[k])->info.stored_bytes;
           if (auto ok = writer->addStrip(std::move(**encoded[k])); !ok) return ok.error();

@@ -10,6 +10,10 @@
 
 namespace ff::bake {
 
+// The share of light that a node sees in other nodes and reflects may not exceed this in any channel, or a closed white room
+// would never lose any light: albedo is lowered where albedo * (1 - (sky + absorbed) / Q) is larger.
+inline constexpr float kMostReflected = 0.999f;
+
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
@@ -30,6 +34,7 @@ struct BakeStats {
   uint64_t triangles = 0, rays = 0;
   double area_m2 = 0, sky_fraction = 0, absorbed_fraction = 0;  // area-weighted
   std::vector<LevelStats> levels;
+  uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
 

@@ -28,6 +28,7 @@ class ProgressPrinter {
       endLine();
       phase_ = phase;
       began_ = Clock::now();
+      said_done_ = false;
     }
     const double seconds = std::chrono::duration<double>(Clock::now() - began_).count();
     if (terminal_) {
@@ -38,7 +39,8 @@ class ProgressPrinter {
       fmt::print(stderr, "\r{:<9} [{:<30}] {:3.0f} %  {:<12}", phase, std::string(filled, '#'), share * 100, eta);
       std::fflush(stderr);
       open_ = true;
-    } else if (done == total) {
+    } else if (done == total && !said_done_) {
+      said_done_ = true;
       fmt::print(stderr, "{:<9} {:>10} done in {:.1f} s\n", phase, total, seconds);
     }
   }
@@ -48,7 +50,7 @@ class ProgressPrinter {
   }
 
  private:
-  bool quiet_, terminal_, open_ = false;
+  bool quiet_, terminal_, open_ = false, said_done_ = false;
   std::string phase_;
   Clock::time_point began_;
 };
@@ -71,6 +73,8 @@ void printSummary(const ff::bake::BakeStats& s, const std::string& out) {
   }
   fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths\n", s.sky_fraction * 100,
              s.absorbed_fraction * 100);
+  if (s.clamped_nodes > 0)
+    fmt::print("  albedo lowered on {} nodes that would have reflected all they see back to what they see\n", s.clamped_nodes);
   fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake\n", s.seconds,
              static_cast<double>(s.rays) * 1e-6 / s.seconds);
 }
@@ -82,6 +86,7 @@ nlohmann::json toJson(const ff::bake::BakeStats& s) {
   return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
           {"area_m2", s.area_m2},     {"rays", s.rays},
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
+          {"clamped_nodes", s.clamped_nodes},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"levels", levels}};
 }

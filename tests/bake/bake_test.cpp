@@ -100,6 +100,24 @@ TEST_F(Bake, AFurnaceOfAnyAlbedoReachesItsClosedForm) {
   }
 }
 
+TEST_F(Bake, LowersAnAlbedoOfOneInAClosedRoomAndSaysSo) {
+  const auto stats = bakeWorld(closedBox({1, 0.5f, 1}, {}), {.cell_m = 0.25f, .rays = 64, .quanta = 64}, path("white.ffm"));
+  ASSERT_TRUE(stats);
+  EXPECT_EQ(stats->clamped_nodes, 96u);
+  auto world = formats::World::open(path("white.ffm"));
+  ASSERT_TRUE(world);
+  auto strip = world->strip({0, 0});
+  ASSERT_TRUE(strip);
+  for (const auto& node : strip->nodes) {
+    EXPECT_NEAR(node.albedo.x, 0.999f, 2e-5f);  // stored in 16 bits
+    EXPECT_NEAR(node.albedo.y, 0.5f, 2e-5f);
+  }
+  // An open scene keeps its white.
+  const auto open = bakeWorld(parallelSquares(), {.cell_m = 0.25f, .rays = 64, .quanta = 64}, path("open.ffm"));
+  ASSERT_TRUE(open);
+  EXPECT_EQ(open->clamped_nodes, 0u);
+}
+
 TEST_F(Bake, ASceneWithoutSurfaceOrABadSettingLeavesNothingBehind) {
   Scene empty;
   empty.name = "empty.glb";
