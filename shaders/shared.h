@@ -44,6 +44,52 @@ struct RefinePush {
   uint count;
 };
 
+// --- pictures: interpolate.comp, sun.vert/.frag, count.comp, surface.vert/.frag, sky.vert/.frag ---
+FF_CONST uint kInterpolateGroup = 64u;
+FF_CONST uint kCountGroup = 64u;
+FF_CONST uint kInterpolated = 8u;  // patches that light a vertex, at most
+FF_CONST uint kShadowMaps = 2u;    // around the eye; the whole world
+
+// Which patches light a vertex, weights sum to 1; unused ones have weight 0.
+struct Interpolation {
+  uint patches[kInterpolated];
+  float weights[kInterpolated];
+};
+// Irradiance, W/m2, of a slot or a vertex. The sun is not in it: it is found per pixel.
+struct Light {
+  vec4 direct;   // straight from emitting surfaces (and, at a vertex, from the sky)
+  vec4 bounced;  // from all surfaces, after any number of bounces (and, at a vertex, from the sky)
+};
+struct PatchLook {
+  vec4 albedo;
+  vec4 emission;  // W/m2
+  vec4 sky;       // irradiance from the sky, W/m2
+};
+struct InterpolatePush {
+  uint first;  // vertex
+  uint count;
+};
+struct CountPush {
+  uint texels;
+};
+struct SunPush {
+  mat4 projection;
+  float back_face_depth;  // how far back faces are moved away from the sun, in depth units
+};
+struct Frame {
+  mat4 view_projection;
+  mat4 shadow[kShadowMaps];  // world to shadow map: x, y in texels, z depth
+  vec4 shadow_texel_m;       // per map
+  vec4 shadow_bias;          // per map, depth units
+  vec4 sun_direction;        // towards the sun
+  vec4 sun_irradiance;       // on a surface that faces it, W/m2; all 0: no sun
+  vec4 sky_l0;               // radiance
+  vec4 sky_l1[3];            // gradient of each channel
+  vec4 eye;
+  vec4 look_x, look_y, look_z;  // direction through the picture's centre (z) and half-extents (x right, y down)
+  vec4 size;                 // x, y: pixels; z: shadow map texels
+};
+
 #ifdef __cplusplus
 }  // namespace ff::shaders
 #endif

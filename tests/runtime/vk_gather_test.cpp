@@ -185,6 +185,27 @@ TEST_F(VkGather, AveragesRefinedSlotsLevelByLevel) {
   expectAgrees(randomMatrix(2000, 120, 4, 3), 5);
 }
 
+TEST_F(VkGather, AgreesWithTheCpuGather) {
+  const auto m = std::make_shared<const LocalMatrix>(randomMatrix(3000, 250, 3, 21));
+  const auto source = randomSource(m->slots(), 22);
+  auto vulkan = makeVulkanGather(context_);
+  ASSERT_TRUE(vulkan) << vulkan.error().line();
+  const std::unique_ptr<Solver> cpu = makeCpuGather(2);
+  std::vector<Vec4> a(m->slots()), b(m->slots());
+  for (auto [solver, out] : {std::pair<Solver*, std::vector<Vec4>*>(vulkan->get(), &a), {cpu.get(), &b}}) {
+    ASSERT_TRUE(solver->setMatrix(m, {}));
+    ASSERT_TRUE(solver->setSource(source));
+    ASSERT_TRUE(solver->iterate(12));
+    ASSERT_TRUE(solver->radiosity(*out));
+  }
+  const double both = 2 * tolerance(*m, 12);  // each may err by one tolerance
+  for (uint32_t s = 0; s < m->slots(); ++s) {
+    ASSERT_NEAR(a[s].x, b[s].x, both * static_cast<double>(b[s].x) + 1e-30) << "slot " << s;
+    ASSERT_NEAR(a[s].y, b[s].y, both * static_cast<double>(b[s].y) + 1e-30) << "slot " << s;
+    ASSERT_NEAR(a[s].z, b[s].z, both * static_cast<double>(b[s].z) + 1e-30) << "slot " << s;
+  }
+}
+
 TEST_F(VkGather, StartsFromTheWarmStart) { expectAgrees(randomMatrix(500, 100, 2, 4), 3, {}, true); }
 
 TEST_F(VkGather, HandlesRowsOfEveryShortLength) {

@@ -1,0 +1,172 @@
+// Camera paths for worlds that come without one.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tools/view_camera.h"
+
+namespace ff::view {
+namespace {
+
+constexpr float kInteriorOpenness = 0.25f;
+constexpr size_t kCandidates = 600;
+constexpr int kRing = 32;  // horizontal directions looked at
+constexpr double kSeconds = 6;
+
+// Which voxels hold surface; half a grid cell wide, coarser for very large worlds.
+class Occupancy {
+ public:
+  explicit Occupancy(const ViewScene& scene) {
+    const Vec3 size = scene.bounds.hi - scene.bounds.lo;
+    step_ = std::max(0.5f * scene.cell_m, std::max({size.x, size.y, size.z}) / 400);
+    origin_ = scene.bounds.lo - Vec3{step_, step_, step_};
+    for (int a = 0; a < 3; ++a) n_[a] = static_cast<int>(size[a] / step_) + 3;
+    full_.assign(static_cast<size_t>(n_[0]) * static_cast<size_t>(n_[1]) * static_cast<size_t>(n_[2]), 0);
+    for (size_t t = 0; t < scene.triangles(); ++t) {
+      const Vec3 &a = scene.corners[3 * t], &b = scene.corners[3 * t + 1], &c = scene.corners[3 * t + 2];
+      const float longest = std::max({length(b - a), length(c - b), length(a - c)});
+      const float spacing = std::max(0.5f * step_ / std::max(longest, 1e-6f), 1.0f / 64);
+      for (float u = 0; u < 1 + spacing; u += spacing)
+        for (float v = 0; v < 1 + spacing - u; v += spacing)
+          if (const auto at = index(a + (b - a) * std::min(u, 1.0f) + (c - a) * std::min(v, 1 - std::min(u, 1.0f))))
+            full_[*at] = 1;
+    }
+  }
+
+  float step() const { return step_; }
+
+  // Free distance along a unit direction; negative infinity where the ray leaves the world unhindered.
+  float free(Vec3 from, Vec3 direction, float most) const {
+    for (float d = 0; d < most; d += 0.5f * step_) {
+      const auto at = index(from + direction * d);
+      if (!at) return -std::numeric_limits<float>::infinity();
+      if (full_[*at]) return d;
+    }
+    return most;
+  }
+
+  // Height of the highest surface above a point of the plan, the world's floor where there is none.
+  float top(float x, float z) const {
+    for (int y = n_[1] - 1; y >= 0; --y) {
+      const float height = origin_.y + (static_cast<float>(y) + 0.5f) * step_;
+      const auto at = index({x, height, z});
+      if (at && full_[*at]) return height + 0.5f * step_;
+    }
+    return origin_.y;
+  }
+
+ private:
+  std::optional<size_t> index(Vec3 p) const {
+    size_t at = 0;
+    for (int a = 2; a >= 0; --a) {
+      const int i = static_cast<int>(std::floor((p[a] - origin_[a]) / step_));
+      if (i < 0 || i >= n_[a]) return std::nullopt;
+      at = at * static_cast<size_t>(n_[a]) + static_cast<size_t>(i);
+    }
+    return at;
+  }
+  Vec3 origin_;
+  float step_ = 1;
+  int n_[3] = {};
+  std::vector<uint8_t> full_;
+};
+
+struct Shot {
+  Vec3 eye, direction;
+  float reach = 0, score = -1;
+};
+
+// From above a floor patch: the horizontal direction with the deepest view that ends on a surface, and room to walk.
+Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
+  Shot best;
+  const Vec3 above = floor + Vec3{0, 1.5f * space.step(), 0};
+  const float room = space.free(above, {0, 1, 0}, 16 * cell);
+  const float height = (std::isinf(room) ? 16 * cell : room) + 1.5f * space.step();
+  if (height < 4 * space.step()) return best;
+  best.eye = floor + Vec3{0, std::min(0.55f * height, 7 * cell), 0};
+  float distance[kRing];
+  for (int i = 0; i < kRing; ++i) {
+    const float angle = 6.2831853f * static_cast<float>(i) / kRing;
+    distance[i] = space.free(best.eye, {std::cos(angle), 0, std::sin(angle)}, extent);
+  }
+  for (int i = 0; i < kRing; ++i) {
+    float wide = 0;  // over about 60 degrees
+    float nearest = extent;
+    int lost = 0;
+    for (int k = -3; k <= 3; ++k) {
+      const float d = distance[(i + k + kRing) % kRing];
+      if (std::isinf(d)) {
+        ++lost;
+        continue;
+      }
+      wide += d / 7;
+      nearest = std::min(nearest, d);
+    }
+    if (std::isinf(distance[i]) || lost > 2) continue;
+    const float score = std::sqrt(distance[i] * wide) + 2 * std::min(nearest, 4 * cell);
+    if (score <= best.score) continue;
+    const float angle = 6.2831853f * static_cast<float>(i) / kRing;
+    best.direction = {std::cos(angle), 0, std::sin(angle)};
+    best.reach = distance[i];
+    best.score = score;
+  }
+  return best;
+}
+
+CameraPath overTheMiddle(const ViewScene& scene, const Occupancy& space) {
+  const Vec3 size = scene.bounds.hi - scene.bounds.lo;
+  Vec3 centre = (scene.bounds.lo + scene.bounds.hi) * 0.5f;
+  centre.y = space.top(centre.x, centre.z);
+  const float radius = 0.3f * std::min(size.x, size.z);
+  constexpr int kKeys = 25;
+  float height = centre.y;
+  std::vector<Vec3> ring;
+  for (int i = 0; i < kKeys; ++i) {
+    const float angle = 0.6f + 1.6f * static_cast<float>(i) / (kKeys - 1);
+    ring.push_back({centre.x + radius * std::cos(angle), 0, centre.z + radius * std::sin(angle)});
+    height = std::max(height, space.top(ring.back().x, ring.back().z));
+  }
+  CameraPath path;
+  for (int i = 0; i < kKeys; ++i) {
+    Vec3 eye = ring[static_cast<size_t>(i)];
+    eye.y = height + std::max(3 * scene.cell_m, 0.15f * radius);
+    path.keys.push_back({kSeconds * i / (kKeys - 1), eye, {centre.x, centre.y - 0.1f * radius, centre.z}});
+  }
+  return path;
+}
+
+}  // namespace
+
+float openness(const ViewScene& scene) {
+  double sky = 0, area = 0;
+  for (const formats::Node& n : scene.patches) {
+    if (n.quanta == 0) continue;
+    sky += static_cast<double>(n.area_m2) * n.sky / n.quanta;
+    area += static_cast<double>(n.area_m2);
+  }
+  return area > 0 ? static_cast<float>(sky / area) : 0.0f;
+}
+
+CameraPath findPath(const ViewScene& scene) {
+  const Occupancy space(scene);
+  if (openness(scene) > kInteriorOpenness) return overTheMiddle(scene, space);
+  std::vector<Vec3> floors;
+  for (const formats::Node& n : scene.patches)
+    if (n.normal.y > 0.8f && n.sky < n.quanta / 4) floors.push_back(n.centroid);
+  const Vec3 size = scene.bounds.hi - scene.bounds.lo;
+  const float extent = std::min(length(size), 60 * scene.cell_m);
+  Shot best;
+  const size_t stride = std::max<size_t>(1, floors.size() / kCandidates);
+  for (size_t i = 0; i < floors.size(); i += stride) {
+    const Shot shot = bestShot(space, floors[i], scene.cell_m, extent);
+    if (shot.score > best.score) best = shot;
+  }
+  if (best.score < 0) return overTheMiddle(scene, space);
+  CameraPath path;
+  const Vec3 step = best.direction * (0.3f * best.reach);
+  const Vec3 target = best.eye + best.direction * best.reach - Vec3{0, 0.08f * best.reach, 0};
+  path.keys = {{0, best.eye, target}, {kSeconds, best.eye + step, target + step * 0.5f}};
+  return path;
+}
+
+}  // namespace ff::view

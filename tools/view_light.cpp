@@ -1,0 +1,125 @@
+#include "tools/view_light.h"
+
+#include <cmath>
+
+namespace ff::view {
+
+using runtime::kNoSlot;
+using runtime::LocalMatrix;
+using runtime::Vec4;
+
+std::vector<uint32_t> patchSlots(const formats::World& world, const LocalMatrix& matrix) {
+  std::vector<uint32_t> slots(world.levels()[0].nodes);
+  for (uint32_t p = 0; p < slots.size(); ++p) {
+    uint32_t node = p, slot = matrix.slotOf(0, p);
+    for (uint32_t level = 0; slot == kNoSlot && level + 1 < world.levels().size(); ++level) {
+      node = world.parent(level, node);
+      slot = matrix.slotOf(level + 1, node);
+    }
+    FF_CHECK_LT(slot, matrix.slots());  // the coarsest level is always active
+    slots[p] = slot;
+  }
+  return slots;
+}
+
+std::vector<shaders::Light> gatherLight(const LocalMatrix& m, std::span<const Vec4> emission,
+                                        std::span<const Vec4> radiosity) {
+  std::vector<shaders::Light> light(m.slots());
+  for (uint32_t s = 0; s < m.slots(); ++s) {
+    Vec3 direct, bounced;
+    for (uint32_t e = m.row_start[s]; e < m.row_start[s + 1]; ++e) {
+      const float count = static_cast<float>(m.entries[e] & 0xffff);
+      const Vec4 &d = emission[m.entries[e] >> 16], &b = radiosity[m.entries[e] >> 16];
+      direct += count * Vec3{d.x, d.y, d.z};
+      bounced += count * Vec3{b.x, b.y, b.z};
+    }
+    const float f = m.row_scale[s];
+    light[s] = {{f * direct.x, f * direct.y, f * direct.z, 0}, {f * bounced.x, f * bounced.y, f * bounced.z, 0}};
+  }
+  for (const LocalMatrix::Refined& r : m.refined) {
+    Vec3 direct, bounced;
+    float area = 0;
+    for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) {
+      const shaders::Light& l = light[c];
+      direct += m.area_m2[c] * Vec3{l.direct.x, l.direct.y, l.direct.z};
+      bounced += m.area_m2[c] * Vec3{l.bounced.x, l.bounced.y, l.bounced.z};
+      area += m.area_m2[c];
+    }
+    if (!(area > 0)) continue;
+    direct = direct / area;
+    bounced = bounced / area;
+    light[r.slot] = {{direct.x, direct.y, direct.z, 0}, {bounced.x, bounced.y, bounced.z, 0}};
+  }
+  return light;
+}
+
+std::vector<Vec4> slotEmission(const LocalMatrix& matrix, std::span<const stream::StripPtr> active) {
+  std::vector<Vec4> emission(matrix.slots());
+  for (const stream::StripPtr& strip : active)
+    for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
+      const uint32_t slot = matrix.slotOf(strip->id.level, strip->first_node + i);
+      if (slot == kNoSlot) continue;
+      const Vec3 m = strip->nodes[i].emission;
+      emission[slot] = {m.x, m.y, m.z, 0};
+    }
+  return emission;
+}
+
+std::vector<double> patchSource(const ViewScene& scene, std::span<const float> sun_exposure, const Sun& sun,
+                                const runtime::Sky& sky) {
+  std::vector<double> source;
+  source.reserve(3 * scene.patches.size());
+  for (size_t p = 0; p < scene.patches.size(); ++p) {
+    const formats::Node& n = scene.patches[p];
+    const Vec3 m = n.emission + n.albedo * (sun_exposure[p] * sun.irradiance + skyIrradiance(n, sky));
+    for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(m[c]));
+  }
+  return source;
+}
+
+Comparison compare(const ViewScene& scene, const LocalMatrix& matrix, std::span<const uint32_t> patch_slot,
+                   std::span<const shaders::Light> light, std::span<const double> full, std::span<const double> source,
+                   Vec3 eye, float inner_m) {
+  double mean = 0, area = 0;
+  for (size_t p = 0; p < scene.patches.size(); ++p) {
+    const formats::Node& n = scene.patches[p];
+    double square = 0;
+    for (int c = 0; c < 3; ++c) {
+      const double r = full[3 * p + static_cast<size_t>(c)] - static_cast<double>(n.emission[c]);
+      square += r * r;
+    }
+    mean += static_cast<double>(n.area_m2) * std::sqrt(square);
+    area += static_cast<double>(n.area_m2);
+  }
+  mean = area > 0 ? mean / area : 0;
+
+  Comparison out;
+  out.difference.resize(scene.patches.size());
+  double error = 0, reflected = 0, bounced = 0;
+  for (size_t p = 0; p < scene.patches.size(); ++p) {
+    const formats::Node& n = scene.patches[p];
+    const shaders::vec4 e = light[patch_slot[p]].bounced;
+    const float streamed[3] = {n.albedo.x * e.x, n.albedo.y * e.y, n.albedo.z * e.z};
+    double square = 0, bounce_square = 0, reflected_square = 0;
+    for (int c = 0; c < 3; ++c) {
+      const size_t i = 3 * p + static_cast<size_t>(c);
+      const double want = full[i] - source[i], all = full[i] - static_cast<double>(n.emission[c]);
+      const double d = static_cast<double>(streamed[c]) - want;
+      square += d * d;
+      bounce_square += want * want;
+      reflected_square += all * all;
+    }
+    out.difference[p] = mean > 0 ? static_cast<float>(std::sqrt(square) / mean) : 0.0f;
+    const uint32_t own = matrix.slotOf(0, static_cast<uint32_t>(p));
+    if (own == kNoSlot || !matrix.leaf[own] || length(n.centroid - eye) > inner_m) continue;
+    error += square;
+    bounced += bounce_square;
+    reflected += reflected_square;
+    ++out.patches_compared;
+  }
+  out.reflected_error = reflected > 0 ? std::sqrt(error / reflected) : 0;
+  out.bounced_error = bounced > 0 ? std::sqrt(error / bounced) : 0;
+  return out;
+}
+
+}  // namespace ff::view

@@ -1,0 +1,36 @@
+// From radiosity to PNG: exposure, tone curve, dither, heat map.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "formats/result.h"
+#include "runtime/local_matrix.h"
+
+namespace ff::view {
+
+struct Picture {
+  uint32_t width = 0, height = 0;
+  std::vector<uint8_t> rgb;  // 3 per pixel, sRGB, top row first
+};
+
+// Mean of log2 of the surfaces' luminance (alpha > 0), the darkest 5 % and brightest 5 % left out so that a lamp or a
+// black corner does not decide; -20 if no surface is seen or all are black.
+float meanLogLuminance(std::span<const runtime::Vec4> radiosity);
+
+// Factor on radiosity that puts that mean at middle grey.
+float exposureFor(float mean_log_luminance);
+
+// samples: the radiosity is `samples` times as wide and as high as the picture; each sample goes through the tone curve
+// before the mean, so that edges against bright lamps stay smooth.
+Picture toneMapped(std::span<const runtime::Vec4> radiosity, uint32_t width, uint32_t height, uint32_t samples,
+                   float exposure);
+
+// Differences from 0 to `full_scale` as colours from dark to bright, the sky (-1) grey, with a legend.
+Picture heatMap(std::span<const float> difference, uint32_t width, uint32_t height, uint32_t samples, float full_scale,
+                const std::string& title);
+
+Result<void> writePng(const Picture& picture, const std::string& path);
+
+}  // namespace ff::view

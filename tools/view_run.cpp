@@ -1,0 +1,271 @@
+#include "tools/view_run.h"
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "runtime/full_solve.h"
+#include "runtime/node_values.h"
+#include "runtime/updater.h"
+#include "runtime/vk_gather.h"
+#include "stream/streamer.h"
+#include "tools/view_light.h"
+#include "tools/view_picture.h"
+
+namespace ff::view {
+namespace {
+
+using nlohmann::json;
+using Clock = std::chrono::steady_clock;
+
+constexpr float kRadiusCells = 24;
+constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
+constexpr float kAdaption = 0.35f;  // share of a change of brightness that automatic exposure follows per picture
+
+double msSince(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+json triple(Vec3 v) { return json::array({v.x, v.y, v.z}); }
+
+// Where nothing was said about the light: sun and sky for worlds that see them, the lamps alone for those that do not.
+struct Lighting {
+  Sun sun;
+  runtime::Sky sky;
+};
+
+Lighting lightingFor(const RunOptions& options, const CameraPath& camera, const ViewScene& scene) {
+  Lighting l;
+  if (options.lamps_only) return l;
+  const bool sealed = openness(scene) < 1e-3f;
+  if (!sealed) {
+    l.sun = {normalized({0.512f, 0.768f, 0.384f}), {13.0f, 11.8f, 9.6f}};
+    l.sky = skyOf({0.9f, 1.15f, 1.5f}, {0.1f, 0.3f, 0.6f});
+  }
+  l.sun = options.sun.value_or(camera.sun.value_or(l.sun));
+  l.sky = options.sky.value_or(camera.sky.value_or(l.sky));
+  return l;
+}
+
+// Everything that lasts for the whole flight. Members die in reverse order: the context goes last.
+struct Flight {
+  const RunOptions& options;
+  const formats::World& world;
+  std::shared_ptr<runtime::VkContext> context;
+  ViewScene scene;
+  DrawGeometry geometry;
+  CameraPath camera;
+  Lighting light;
+  SunRaster raster;
+  Renderer renderer;
+  runtime::NodeValues sun_on_nodes;     // irradiance
+  std::vector<double> source, full;     // of the full solve, 3 per patch
+  float radius_m = 0;
+  std::string name;                     // of the world's file, without folder and extension
+};
+
+struct PictureNames {
+  std::string direct, bounce, difference;
+};
+
+PictureNames namesOf(const Flight& f, int frame) {
+  char number[16];
+  std::snprintf(number, sizeof(number), "%04d", frame);
+  const std::string stem = f.name + "_" + number;
+  return {stem + "_direct.png", stem + "_bounce.png", stem + "_difference.png"};
+}
+
+Result<void> writePictures(const Flight& f, const Rendered& drawn, const PictureNames& names, float exposure) {
+  const RunOptions& o = f.options;
+  const std::filesystem::path folder(o.out_folder);
+  const auto toned = [&](const std::vector<runtime::Vec4>& pixels) {
+    return toneMapped(pixels, o.width, o.height, o.samples, exposure);
+  };
+  if (auto w = writePng(toned(drawn.direct), (folder / names.direct).string()); !w) return w;
+  if (auto w = writePng(toned(drawn.bounced), (folder / names.bounce).string()); !w) return w;
+  if (!o.compare) return {};
+  const Picture heat = heatMap(drawn.difference, o.width, o.height, o.samples, kHeatScale,
+                               "|streamed - full solve| / mean reflected radiosity");
+  return writePng(heat, (folder / names.difference).string());
+}
+
+Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t,
+                      float* mean_log) {
+  const View view = f.camera.at(t);
+  const Vec3 velocity = f.camera.velocityAt(t);
+  const uint64_t bytes_before = streamer.stats().bytes_read;
+  // A picture waits for its strips; a game would draw coarser light until they are there.
+  streamer.update(view.eye, velocity);
+  if (auto r = streamer.settle(); !r) return r.error();
+  auto stats = updater.frame(view.eye, velocity, f.options.iterations);
+  if (!stats) return stats.error();
+  auto iterations = updater.converge(1e-5f, 400);
+  if (!iterations) return iterations.error();
+
+  const runtime::LocalMatrix& matrix = updater.matrix();
+  std::vector<runtime::Vec4> radiosity(matrix.slots());
+  if (auto r = updater.radiosity(radiosity); !r) return r.error();
+  const auto slots = gatherLight(matrix, slotEmission(matrix, streamer.active()), radiosity);
+  const auto patch_slot = patchSlots(f.world, matrix);
+  Comparison comparison;
+  comparison.difference.resize(f.scene.patches.size());
+  if (f.options.compare)
+    comparison = compare(f.scene, matrix, patch_slot, slots, f.full, f.source, view.eye, 0.5f * f.radius_m);
+
+  const auto draw_start = Clock::now();
+  auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {patch_slot, slots, comparison.difference});
+  if (!drawn) return drawn.error();
+  const double draw_ms = msSince(draw_start);
+  const float seen = meanLogLuminance(drawn->bounced);
+  *mean_log = frame == 0 ? seen : *mean_log + kAdaption * (seen - *mean_log);
+  const float exposure = f.options.exposure_stops ? std::exp2(*f.options.exposure_stops) : exposureFor(*mean_log);
+  const PictureNames names = namesOf(f, frame);
+  if (auto w = writePictures(f, *drawn, names, exposure); !w) return w.error();
+
+  const stream::StreamStats s = streamer.stats();
+  json j = {{"frame", frame}, {"t", t}, {"eye", triple(view.eye)}, {"slots", stats->slots}, {"leaves", stats->leaves},
+            {"level0_leaves", stats->level0_leaves}, {"entries", stats->entries}, {"matrix_ms", stats->matrix_ms},
+            {"solve_ms", stats->solve_ms}, {"solve_iterations", f.options.iterations},
+            {"iterations_to_converge", *iterations}, {"draw_ms", draw_ms}, {"bytes_read", s.bytes_read - bytes_before},
+            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure", exposure},
+            {"direct_picture", names.direct}, {"bounce_picture", names.bounce}};
+  if (f.options.compare) {
+    j["difference_picture"] = names.difference;
+    j["patches_compared"] = comparison.patches_compared;
+    j["reflected_error_inner"] = comparison.patches_compared ? json(comparison.reflected_error) : json(nullptr);
+    j["bounced_error_inner"] = comparison.patches_compared ? json(comparison.bounced_error) : json(nullptr);
+  }
+  return j;
+}
+
+Result<void> writeFigures(const json& figures, const std::string& path) {
+  std::ofstream out(path, std::ios::binary);
+  out << figures.dump(1) << "\n";
+  out.close();
+  if (!out) return Error{ErrorCode::kIo, path, "", "cannot be written", ""};
+  return {};
+}
+
+Result<void> refuseMessages(const runtime::VkContext& context) {
+  const auto messages = runtime::validationMessages(context);
+  if (messages.empty()) return {};
+  return Error{ErrorCode::kIo, "", "vulkan validation", std::to_string(messages.size()) + " messages, first: " + messages.front(), ""};
+}
+
+// Sun, drawing geometry, renderer, full solve: all that is done once.
+Result<void> prepare(Flight& f, json& figures, const std::function<void(const std::string&)>& say) {
+  auto scene = loadScene(f.world);
+  if (!scene) return scene.error();
+  f.scene = std::move(*scene);
+  auto start = Clock::now();
+  const Weld weld = weldScene(f.scene);
+  say(std::to_string(f.scene.patches.size()) + " patches, " + std::to_string(f.scene.triangles()) + " triangles, " +
+      std::to_string(weld.position.size()) + " light vertices");
+  figures["weld_ms"] = msSince(start);
+  if (f.options.camera.empty()) {
+    f.camera = findPath(f.scene);
+  } else {
+    auto camera = readCamera(f.options.camera);
+    if (!camera) return camera.error();
+    f.camera = std::move(*camera);
+  }
+  f.light = lightingFor(f.options, f.camera, f.scene);
+  figures["sun"] = {{"direction", triple(f.light.sun.to_sun)}, {"irradiance", triple(f.light.sun.irradiance)}};
+  figures["openness"] = openness(f.scene);
+
+  auto geometry = uploadGeometry(*f.context, f.scene, weld);
+  if (!geometry) return geometry.error();
+  f.geometry = std::move(*geometry);
+  auto raster = SunRaster::create(*f.context);
+  if (!raster) return raster.error();
+  f.raster = std::move(*raster);
+  const VkExtent2D extent{f.options.width * f.options.samples, f.options.height * f.options.samples};
+  auto renderer = Renderer::create(*f.context, f.scene, weld, f.geometry, f.light.sky, extent);
+  if (!renderer) return renderer.error();
+  f.renderer = std::move(*renderer);
+
+  start = Clock::now();
+  std::vector<float> exposure(f.scene.patches.size());
+  if (f.light.sun.shines()) {
+    auto seen = f.raster.exposure(f.geometry, f.scene, f.light.sun.to_sun);
+    if (!seen) return seen.error();
+    exposure = std::move(*seen);
+  }
+  figures["sun_ms"] = msSince(start);
+  std::vector<float> areas;
+  std::vector<Vec3> irradiance;
+  for (size_t p = 0; p < f.scene.patches.size(); ++p) {
+    areas.push_back(f.scene.patches[p].area_m2);
+    irradiance.push_back(exposure[p] * f.light.sun.irradiance);
+  }
+  f.sun_on_nodes = runtime::aggregateUp(f.world, areas, irradiance);
+  if (!f.options.compare) return {};
+  start = Clock::now();
+  f.source = patchSource(f.scene, exposure, f.light.sun, f.light.sky);
+  auto full = runtime::solveFullWorld(f.world, f.source, {.tolerance = 1e-7, .max_iterations = 2000, .threads = 0});
+  if (!full) return full.error();
+  f.full = std::move(full->radiosity);
+  figures["full_solve_ms"] = msSince(start);
+  figures["full_solve_iterations"] = full->iterations;
+  return {};
+}
+
+}  // namespace
+
+Result<json> run(const RunOptions& options, const std::function<void(const std::string&)>& say) {
+  auto world = formats::World::open(options.world);
+  if (!world) return world.error();
+  auto context = runtime::openVulkan(options.device);
+  if (!context) return context.error();
+  const std::string device = runtime::deviceName(**context);
+  say("device: " + device);
+  std::error_code failed;
+  std::filesystem::create_directories(options.out_folder, failed);
+  if (failed) return Error{ErrorCode::kIo, options.out_folder, "", "cannot be made: " + failed.message(), ""};
+
+  json figures = {{"world", std::filesystem::path(options.world).filename().string()}, {"device", device}};
+  {
+    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string()};
+    if (auto r = prepare(f, figures, say); !r) return r.error();
+    f.radius_m = options.radius_m > 0 ? options.radius_m : kRadiusCells * world->info().cell_m;
+    stream::StreamSettings settings;
+    settings.radius_m = f.radius_m;
+    settings.max_level0_nodes = options.max_patches;
+    auto streamer = stream::Streamer::create(*world, settings);
+    if (!streamer) return streamer.error();
+    std::unique_ptr<runtime::Solver> solver;
+    if (options.solve_on_cpu) {
+      solver = runtime::makeCpuGather();
+    } else {
+      auto made = runtime::makeVulkanGather(*context);
+      if (!made) return made.error();
+      solver = std::move(*made);
+    }
+    runtime::Updater updater(*world, **streamer, *solver);
+    updater.setSky(f.light.sky);
+    updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
+      const auto values = f.sun_on_nodes.tile(*world, id);
+      std::copy(values.begin(), values.end(), out.begin());
+    });
+    figures["solver"] = solver->name();
+    figures["radius_m"] = f.radius_m;
+    figures["frames"] = json::array();
+    float mean_log = 0;
+    for (int i = 0; i < options.frames; ++i) {
+      const double along = options.frames > 1 ? static_cast<double>(i) / (options.frames - 1) : 0;
+      const double t = f.camera.start() + along * (f.camera.end() - f.camera.start());
+      auto frame = flyFrame(f, **streamer, updater, i, t, &mean_log);
+      if (!frame) return frame.error();
+      say("frame " + std::to_string(i) + ": " + frame->dump());
+      figures["frames"].push_back(std::move(*frame));
+    }
+  }
+  if (auto r = refuseMessages(**context); !r) return r.error();
+  if (auto r = writeFigures(figures, (std::filesystem::path(options.out_folder) / "figures.json").string()); !r) return r.error();
+  return figures;
+}
+
+}  // namespace ff::view

@@ -1,0 +1,35 @@
+// A headless flight, top to bottom: load, light, stream, solve, draw, compare, write.
+#pragma once
+#include <functional>
+#include <nlohmann/json_fwd.hpp>
+#include <optional>
+#include <string>
+
+#include "runtime/vk_context.h"
+#include "tools/view_camera.h"
+
+namespace ff::view {
+
+struct RunOptions {
+  std::string world, camera, out_folder;
+  uint32_t width = 1280, height = 720;
+  int frames = 4;                        // evenly over the path
+  runtime::VulkanChoice device;
+  bool solve_on_cpu = false;
+  float radius_m = 0;                    // 0: 24 patch cells
+  uint32_t max_patches = 0xffffffffu;    // active ones
+  std::optional<float> exposure_stops;   // log2 of the factor on radiosity; none: automatic
+  std::optional<Sun> sun;                // these three: over the camera file's, over the defaults
+  std::optional<runtime::Sky> sky;
+  bool lamps_only = false;               // neither sun nor sky
+  int iterations = 8;                    // a frame
+  uint32_t samples = 2;                  // per pixel and axis
+  bool compare = true;                   // full-world solve and difference pictures
+};
+
+// Writes NAME_0000_direct.png, _bounce.png, _difference.png, ... and figures.json into out_folder (made if missing), and
+// returns what figures.json holds. `say` gets lines of progress. With device.validate, any message of the layers is
+// an error. Errors: kIo, kInvalidFile, kUsage.
+Result<nlohmann::json> run(const RunOptions& options, const std::function<void(const std::string&)>& say);
+
+}  // namespace ff::view

@@ -1,0 +1,24 @@
+#include "tools/view_scene.h"
+
+namespace ff::view {
+
+Result<ViewScene> loadScene(const formats::World& world) {
+  if (!world.hasGeometry())
+    return Error{ErrorCode::kInvalidFile, world.path(), "", "the world has no drawing geometry", "bake it again with geometry"};
+  ViewScene scene;
+  scene.cell_m = world.info().cell_m;
+  scene.patches.reserve(world.levels()[0].nodes);
+  for (const formats::TileInfo& tile : world.tiles(0)) {
+    auto strip = world.strip(tile.id);
+    if (!strip) return strip.error();
+    scene.patches.insert(scene.patches.end(), strip->nodes.begin(), strip->nodes.end());
+    auto geometry = world.geometry(tile.id.tile);
+    if (!geometry) return geometry.error();
+    scene.corners.insert(scene.corners.end(), geometry->positions.begin(), geometry->positions.end());
+    for (const uint8_t patch : geometry->patch) scene.triangle_patch.push_back(tile.first_node + patch);
+  }
+  for (const Vec3 p : scene.corners) scene.bounds.add(p);
+  return scene;
+}
+
+}  // namespace ff::view
