@@ -1,5 +1,11 @@
 #include "bake/gltf_meshopt.h"
 
+#include "bake/gltf_meshopt_vertices.h"
+
+#include <cmath>
+#include <cstring>
+#include <span>
+
 #ifdef FF_HAVE_MESHOPTIMIZER
 #include <meshoptimizer.h>
 #endif
@@ -7,21 +13,29 @@
 namespace ff::bake::gltf {
 namespace {
 
+bool decode(const std::string& mode, std::vector<uint8_t>& out, uint64_t count, uint64_t stride,
+            std::span<const uint8_t> stream, const std::string& place) {
+  if (mode == "ATTRIBUTES") return decodeMeshoptVertices(stream, stride, out);
 #ifdef FF_HAVE_MESHOPTIMIZER
-// False where the library says that the data is broken or of a newer version than it knows.
-bool decode(const std::string& mode, const std::string& filter, std::vector<uint8_t>& out, uint64_t count, uint64_t stride,
-            const uint8_t* data, uint64_t bytes) {
-  int rc = -1;
-  if (mode == "ATTRIBUTES") rc = meshopt_decodeVertexBuffer(out.data(), count, stride, data, bytes);
-  else if (mode == "TRIANGLES") rc = meshopt_decodeIndexBuffer(out.data(), count, stride, data, bytes);
-  else rc = meshopt_decodeIndexSequence(out.data(), count, stride, data, bytes);
-  if (rc != 0) return false;
-  if (filter == "EXPONENTIAL") meshopt_decodeFilterExp(out.data(), count, stride);
-  // Octahedral, quaternion and colour filters serve normals, rotations and colours; positions and texture coordinates,
-  // which are all that is read here, come without or with the exponential one.
-  return filter.empty() || filter == "NONE" || filter == "EXPONENTIAL";
-}
+  (void)place;
+  if (mode == "TRIANGLES") return meshopt_decodeIndexBuffer(out.data(), count, stride, stream.data(), stream.size()) == 0;
+  return meshopt_decodeIndexSequence(out.data(), count, stride, stream.data(), stream.size()) == 0;
+#else
+  (void)count;
+  refuse(place, "meshopt-compressed indices cannot be read by this build", "export without meshopt compression");
 #endif
+}
+
+// Each 32-bit word: a signed 24-bit mantissa below a signed 8-bit exponent.
+void undoExponential(std::vector<uint8_t>& bytes) {
+  for (size_t i = 0; i + 4 <= bytes.size(); i += 4) {
+    uint32_t word;
+    std::memcpy(&word, &bytes[i], 4);
+    const auto mantissa = static_cast<float>(static_cast<int32_t>(word << 8) >> 8);
+    const float value = std::ldexp(mantissa, static_cast<int8_t>(word >> 24));
+    std::memcpy(&bytes[i], &value, 4);
+  }
+}
 
 void decodeView(const Item& view, const Item& meshopt, size_t number, Storage& storage, Budget& budget) {
   const auto source = meshopt.reference("buffer", storage.buffers.size(), "buffer");
@@ -41,22 +55,19 @@ void decodeView(const Item& view, const Item& meshopt, size_t number, Storage& s
   if (count * stride != storage.views[number].length)
     refuse(meshopt.place(), std::to_string(count) + " elements of " + std::to_string(stride) + " bytes do not fill the view");
   if (filter == "EXPONENTIAL" && !attributes) refuse(meshopt.place(), "a filter on indices");
-#ifdef FF_HAVE_MESHOPTIMIZER
+  // The other filters serve normals, rotations and colours, which may be left alone; positions and texture coordinates
+  // come without or with the exponential one.
+  if (!filter.empty() && filter != "NONE" && filter != "EXPONENTIAL") return;
   budget.take(count * stride, view.place());
   std::vector<uint8_t> out(count * stride);
-  if (!decode(mode, filter, out, count, stride, storage.buffers[*source].data() + offset, bytes)) {
-    budget.give(count * stride);
-    return;
-  }
+  if (!decode(mode, out, count, stride, {storage.buffers[*source].data() + offset, bytes}, meshopt.place()))
+    refuse(meshopt.place(), "the compressed data is broken", "fetch or compress the file again");
+  if (filter == "EXPONENTIAL") undoExponential(out);
   Extents& extents = storage.views[number];
   extents.buffer = static_cast<uint32_t>(storage.buffers.size());
   extents.offset = 0;
   storage.buffers.push_back(std::move(out));
   storage.present.push_back(true);
-#else
-  (void)view;
-  (void)budget;
-#endif
 }
 
 }  // namespace

@@ -4,8 +4,8 @@
 
 namespace ff::bake::gltf {
 
-// Decodes every compressed bufferView into a buffer of its own and points the view there. A view that the library at hand
-// cannot decode keeps its fallback buffer; one without data is refused later, when something reads it.
+// Decodes compressed bufferViews into buffers of their own and points the views there. Views with a filter for normals,
+// rotations or colours keep their fallback buffer, which may be absent.
 void decodeMeshoptViews(const Item& file, Storage& storage, Budget& budget);
 
 }  // namespace ff::bake::gltf

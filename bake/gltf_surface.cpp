@@ -37,17 +37,14 @@ Vec2 transformed(const UvSource& source, const Elements& uv, uint64_t i) {
 }
 
 // Files may declare geometry whose bytes an application is to supply: no bufferView, or a buffer without uri.
-bool hasData(const Document& document, const tinygltf::Primitive& primitive) {
+bool hasData(const Document& document, int accessor) {
   const auto present = [&](int view) {
     return document.buffer_present[static_cast<size_t>(document.model.bufferViews[static_cast<size_t>(view)].buffer)];
   };
-  const auto readable = [&](int accessor) {
-    const tinygltf::Accessor& a = document.model.accessors[static_cast<size_t>(accessor)];
-    if (a.bufferView < 0 && !a.sparse.isSparse) return false;
-    return (a.bufferView < 0 || present(a.bufferView)) &&
-           (!a.sparse.isSparse || (present(a.sparse.indices.bufferView) && present(a.sparse.values.bufferView)));
-  };
-  return readable(primitive.attributes.at("POSITION")) && (primitive.indices < 0 || readable(primitive.indices));
+  const tinygltf::Accessor& a = document.model.accessors[static_cast<size_t>(accessor)];
+  if (a.bufferView < 0 && !a.sparse.isSparse) return false;
+  return (a.bufferView < 0 || present(a.bufferView)) &&
+         (!a.sparse.isSparse || (present(a.sparse.indices.bufferView) && present(a.sparse.values.bufferView)));
 }
 
 }  // namespace
@@ -73,11 +70,22 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
     vertex_count = mesh.vertex_count;
     budget.take(taken = surfaceBytes(vertex_count, triangles.size()), place);
   } else {
-    if (!hasData(document, primitive)) {
+    if (!hasData(document, primitive.attributes.at("POSITION")) ||
+        (primitive.indices >= 0 && !hasData(document, primitive.indices))) {
       warnings.push_back(place + ": its accessors have no data, it is left out");
       return out;
     }
-    for (const auto& [name, accessor] : primitive.attributes) attributes.emplace(name, Elements(document, accessor));
+    const auto set = [](const UvSource& source) { return "TEXCOORD_" + std::to_string(source.set); };
+    for (const auto& [name, accessor] : primitive.attributes) {
+      if (name != "POSITION" && name != "COLOR_0" && !(base.used && name == set(base)) &&
+          !(emission.used && name == set(emission)))
+        continue;
+      if (name == "COLOR_0" && !hasData(document, accessor)) {
+        warnings.push_back(place + ": its vertex colours cannot be read, they are left out");
+        continue;
+      }
+      attributes.emplace(name, Elements(document, accessor));
+    }
     vertex_count = attributes.at("POSITION").count();
     if (primitive.indices >= 0) {
       const Elements indices(document, primitive.indices);
