@@ -15,9 +15,9 @@ constexpr uint32_t kMagic = 0x46546c67;      // "glTF"
 constexpr uint32_t kJsonChunk = 0x4e4f534a;  // "JSON"
 constexpr uint32_t kBinChunk = 0x004e4942;   // "BIN\0"
 constexpr uint64_t kHeaderBytes = 12, kChunkHeaderBytes = 8;
-constexpr size_t kDeepest = 512;             // nesting of JSON values; the glTF schema needs about 10
-// The most that a value comes to while the file loads: parsed (16 bytes, a map node about 100), reduced and parsed again,
-// and its share of tinygltf's structures ("{}," is two values here and a node there, about 500 bytes).
+constexpr size_t kDeepest = 512;  // nesting of JSON values; the glTF schema needs about 10
+// The most that a value comes to while the file loads: parsed (16 bytes, a map node about 100), reduced and parsed
+// again, and its share of tinygltf's structures ("{}," is two values here and a node there, about 500 bytes).
 constexpr uint64_t kBytesPerJsonValue = 400;
 
 struct FileCloser {
@@ -27,7 +27,8 @@ using File = std::unique_ptr<FILE, FileCloser>;
 
 File open(const std::string& path, const std::string& place, uint64_t* bytes) {
   struct stat info {};
-  if (stat(path.c_str(), &info) != 0) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)), "check that it is there");
+  if (stat(path.c_str(), &info) != 0)
+    refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)), "check that it is there");
   if (!S_ISREG(info.st_mode)) refuseIo(place, "is not a regular file", "name a .gltf or .glb file");
   File file(std::fopen(path.c_str(), "rbe"));
   if (!file) refuseIo(place, "cannot be opened: " + std::string(std::strerror(errno)), "check that it is there");
@@ -71,7 +72,8 @@ uint64_t checkJsonShape(const std::string& text) {
 Json parseJson(std::string text, Container& out, Budget& budget) {
   out.json_bytes = checkJsonShape(text);
   budget.take(out.json_bytes, "JSON");
-  if (text.size() >= 3 && text.compare(0, 3, "\xef\xbb\xbf") == 0) refuse("offset 0", "JSON starts with a byte order mark");
+  if (text.size() >= 3 && text.compare(0, 3, "\xef\xbb\xbf") == 0)
+    refuse("offset 0", "JSON starts with a byte order mark");
   while (!text.empty() && text.back() == ' ') text.pop_back();  // chunk padding
   try {
     return Json::parse(text);
@@ -79,7 +81,8 @@ Json parseJson(std::string text, Container& out, Budget& budget) {
     std::string what = e.what();  // "[json.exception...] parse error at line 1, column 5: what follows"
     const size_t at = what.find("column");
     const size_t colon = at == std::string::npos ? at : what.find(": ", at);
-    refuse("offset " + std::to_string(e.byte), "JSON: " + printable(colon == std::string::npos ? what : what.substr(colon + 2)));
+    refuse("offset " + std::to_string(e.byte),
+           "JSON: " + printable(colon == std::string::npos ? what : what.substr(colon + 2)));
   } catch (const Json::exception& e) {
     const std::string what = e.what();
     const size_t bracket = what.find("] ");
@@ -96,7 +99,8 @@ void readGlb(FILE* file, uint64_t file_bytes, Container& out, std::string& text,
     refuse("offset 4", "GLB container version " + std::to_string(version) + ", only 2 can be read");
   const uint64_t length = littleEndian(&header[8]);
   if (length > file_bytes)
-    refuse("offset 8", "the header promises " + std::to_string(length) + " bytes, the file has " + std::to_string(file_bytes),
+    refuse("offset 8",
+           "the header promises " + std::to_string(length) + " bytes, the file has " + std::to_string(file_bytes),
            "fetch the file again");
   if (length < file_bytes) warnings.push_back("bytes after the end of the GLB container are ignored");
   uint64_t offset = kHeaderBytes;
@@ -110,7 +114,8 @@ void readGlb(FILE* file, uint64_t file_bytes, Container& out, std::string& text,
     const uint32_t type = littleEndian(&head[4]);
     offset += kChunkHeaderBytes;
     if (bytes > length - offset)
-      refuse(place, "a chunk of " + std::to_string(bytes) + " bytes, only " + std::to_string(length - offset) + " are left");
+      refuse(place,
+             "a chunk of " + std::to_string(bytes) + " bytes, only " + std::to_string(length - offset) + " are left");
     if (bytes % 4) refuse(place, "chunk length " + std::to_string(bytes) + " is no multiple of 4");
     if (chunk == 0 && type != kJsonChunk) refuse(place, "the first chunk must be JSON");
     if (type == kJsonChunk) {
@@ -240,8 +245,10 @@ std::string resolveUri(const std::string& uri, const std::string& folder, const 
   for (size_t start = 0; start <= decoded.size();) {
     const size_t end = std::min(decoded.find_first_of("/\\", start), decoded.size());
     const std::string part = decoded.substr(start, end - start);
-    if (part == "..") --depth;
-    else if (!part.empty() && part != ".") ++depth;
+    if (part == "..")
+      --depth;
+    else if (!part.empty() && part != ".")
+      ++depth;
     if (depth < 0) refuse(place, "\"" + printable(decoded) + "\" leaves the scene's folder", remedy);
     start = end + 1;
   }
@@ -251,7 +258,8 @@ std::string resolveUri(const std::string& uri, const std::string& folder, const 
 std::vector<uint8_t> readFile(const std::string& path, uint64_t most, const std::string& place, Budget& budget) {
   uint64_t bytes = 0;
   const size_t slash = path.rfind('/');
-  const std::string where = place + ": \"" + printable(slash == std::string::npos ? path : path.substr(slash + 1)) + "\"";
+  const std::string where =
+      place + ": \"" + printable(slash == std::string::npos ? path : path.substr(slash + 1)) + "\"";
   const File file = open(path, where, &bytes);
   bytes = std::min(bytes, most);
   budget.take(bytes, place);

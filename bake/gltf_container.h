@@ -13,7 +13,7 @@ struct Container {
   uint64_t json_bytes = 0;   // taken from the budget for `json` and what grows out of it
   std::vector<uint8_t> bin;  // the BIN chunk
   bool has_bin = false, is_glb = false;
-  std::string folder;        // of the file, with a trailing '/', or ""
+  std::string folder;  // of the file, with a trailing '/', or ""
 };
 
 // Reads the file and parses its JSON. Budget is taken for the text, the parsed values and the BIN chunk; the text's is

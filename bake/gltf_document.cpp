@@ -9,24 +9,42 @@
 namespace ff::bake::gltf {
 namespace {
 
-// Extensions that a file may require. Those that change geometry or diffuse light are read; the others cannot change what
-// a radiosity baker sees, or only an image, whose absence is a warning.
-constexpr std::array kSupported = {
-    "KHR_draco_mesh_compression", "KHR_mesh_quantization", "KHR_texture_transform", "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_node_visibility", "KHR_lights_punctual", "EXT_lights_ies",
-    "EXT_lights_image_based", "KHR_animation_pointer", "KHR_node_hoverability", "KHR_node_selectability",
-    "KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds", "KHR_xmp_json_ld",
-    "EXT_mesh_features", "EXT_instance_features", "EXT_structural_metadata", "MSFT_lod"};
+// Extensions that a file may require. Those that change geometry or diffuse light are read; the others cannot change
+// what a radiosity baker sees, or only an image, whose absence is a warning.
+constexpr std::array kSupported = {"KHR_draco_mesh_compression",
+                                   "KHR_mesh_quantization",
+                                   "KHR_texture_transform",
+                                   "EXT_mesh_gpu_instancing",
+                                   "EXT_meshopt_compression",
+                                   "KHR_meshopt_compression",
+                                   "KHR_node_visibility",
+                                   "KHR_lights_punctual",
+                                   "EXT_lights_ies",
+                                   "EXT_lights_image_based",
+                                   "KHR_animation_pointer",
+                                   "KHR_node_hoverability",
+                                   "KHR_node_selectability",
+                                   "KHR_texture_basisu",
+                                   "EXT_texture_webp",
+                                   "EXT_texture_avif",
+                                   "MSFT_texture_dds",
+                                   "KHR_xmp_json_ld",
+                                   "EXT_mesh_features",
+                                   "EXT_instance_features",
+                                   "EXT_structural_metadata",
+                                   "MSFT_lod"};
 
 void checkAsset(const Item& file) {
   const auto asset = file.object("asset");
   if (!asset) refuse("asset", "is missing", "export as glTF 2.0");
   const std::string version = asset->text("version");
-  if (version.size() < 3 || version.compare(0, 2, "2.") != 0 || version.find_first_not_of("0123456789", 2) != std::string::npos)
+  if (version.size() < 3 || version.compare(0, 2, "2.") != 0 ||
+      version.find_first_not_of("0123456789", 2) != std::string::npos)
     refuse("asset", "version \"" + printable(version) + "\", only 2.x can be read", "export as glTF 2.0");
   const std::string least = asset->text("minVersion");
   if (!least.empty() && least != "2.0" && (least != "2.1" || version == "2.0"))
-    refuse("asset", "minVersion \"" + printable(least) + "\" with version \"" + version + "\", only 2.0 and 2.1 can be read",
+    refuse("asset",
+           "minVersion \"" + printable(least) + "\" with version \"" + version + "\", only 2.0 and 2.1 can be read",
            "export as glTF 2.0");
 }
 
@@ -66,7 +84,8 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
       present = false;  // of use to an application that knows better, or the fallback of a compressed bufferView
     }
     if (present && data.size() < bytes)
-      refuse(item.place(), "byteLength " + std::to_string(bytes) + ", only " + std::to_string(data.size()) + " bytes are there",
+      refuse(item.place(),
+             "byteLength " + std::to_string(bytes) + ", only " + std::to_string(data.size()) + " bytes are there",
              "fetch or export the file again");
     if (present) data.resize(bytes);
     storage.buffers.push_back(std::move(data));
@@ -82,8 +101,9 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
     e.length = item.requiredInteger("byteLength");
     const uint64_t bytes = items[*buffer].requiredInteger("byteLength");
     if (e.offset > bytes || e.length > bytes - e.offset)
-      refuse(item.place(), "offset " + std::to_string(e.offset) + " and length " + std::to_string(e.length) + " end past buffer " +
-                               std::to_string(*buffer) + " of " + std::to_string(bytes) + " bytes");
+      refuse(item.place(), "offset " + std::to_string(e.offset) + " and length " + std::to_string(e.length) +
+                               " end past buffer " + std::to_string(*buffer) + " of " + std::to_string(bytes) +
+                               " bytes");
     if (const auto stride = item.integer("byteStride")) {
       if (*stride < 4 || *stride > 252 || *stride % 4)
         refuse(item.place(), "byteStride " + std::to_string(*stride) + " must be a multiple of 4 from 4 to 252");
@@ -190,9 +210,11 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
   if (text.size() > 0xffffffffu) refuse("JSON", "larger than 4 GiB");
   BufferServer server{&storage.buffers};
   tinygltf::TinyGLTF loader;
-  loader.SetFsCallbacks({&BufferServer::exists, &BufferServer::expand, &BufferServer::readAll, &BufferServer::writeNothing, &server});
+  loader.SetFsCallbacks(
+      {&BufferServer::exists, &BufferServer::expand, &BufferServer::readAll, &BufferServer::writeNothing, &server});
   std::string error, warning;
-  if (!loader.LoadASCIIFromString(&out.model, &error, &warning, text.c_str(), static_cast<unsigned>(text.size()), "", 0))
+  if (!loader.LoadASCIIFromString(&out.model, &error, &warning, text.c_str(), static_cast<unsigned>(text.size()), "",
+                                  0))
     refuse("tinygltf", printable(error));
   budget.give(json_bytes / 4 * 3);  // the parsed trees are gone, tinygltf's structures stay
   return out;

@@ -47,9 +47,12 @@ Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint3
                          Budget& budget) {
   const draco::PointAttribute* attribute = mesh.GetAttributeByUniqueId(id);
   if (!attribute) refuse(place, name + ": the Draco data has no attribute with id " + std::to_string(id), kRemedy);
-  const uint32_t components = name == "POSITION" ? 3 : name == "COLOR_0" ? static_cast<uint32_t>(attribute->num_components()) : 2;
+  const uint32_t components = name == "POSITION"  ? 3
+                              : name == "COLOR_0" ? static_cast<uint32_t>(attribute->num_components())
+                                                  : 2;
   if (static_cast<uint32_t>(attribute->num_components()) != components || components < 2 || components > 4)
-    refuse(place, name + ": the Draco attribute has " + std::to_string(attribute->num_components()) + " components", kRemedy);
+    refuse(place, name + ": the Draco attribute has " + std::to_string(attribute->num_components()) + " components",
+           kRemedy);
   budget.take(uint64_t{mesh.num_points()} * components * sizeof(float), place);
   std::vector<float> values(size_t{mesh.num_points()} * components);
   for (uint32_t p = 0; p < mesh.num_points(); ++p) {
@@ -74,10 +77,15 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
   const uint64_t faces = header.known ? header.faces : index_count / 3;
   budget.take(faces * kBytesPerFace, place);
   if (header.known && (header.vertices > 3 * header.faces))
-    refuse(place, "Draco header: " + std::to_string(header.vertices) + " vertices for " + std::to_string(header.faces) + " triangles", kRemedy);
+    refuse(place,
+           "Draco header: " + std::to_string(header.vertices) + " vertices for " + std::to_string(header.faces) +
+               " triangles",
+           kRemedy);
   if (mode == 4 && index_count && header.known && header.faces * 3 != index_count)
-    refuse(place, "the index accessor counts " + std::to_string(index_count) + ", the Draco data holds " +
-                      std::to_string(header.faces) + " triangles", kRemedy);
+    refuse(place,
+           "the index accessor counts " + std::to_string(index_count) + ", the Draco data holds " +
+               std::to_string(header.faces) + " triangles",
+           kRemedy);
 
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(bytes.data), bytes.size);
@@ -92,8 +100,10 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
   DracoMesh out;
   out.vertex_count = mesh.num_points();
   if (out.vertex_count != vertex_count)
-    refuse(place, "the accessors count " + std::to_string(vertex_count) + " vertices, the Draco data holds " +
-                      std::to_string(out.vertex_count), kRemedy);
+    refuse(place,
+           "the accessors count " + std::to_string(vertex_count) + " vertices, the Draco data holds " +
+               std::to_string(out.vertex_count),
+           kRemedy);
   out.triangles.reserve(mesh.num_faces());
   for (uint32_t f = 0; f < mesh.num_faces(); ++f) {
     const draco::Mesh::Face& face = mesh.face(draco::FaceIndex(f));
@@ -101,16 +111,20 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
     for (size_t k = 0; k < 3; ++k) {
       triangle[k] = face[k].value();
       if (triangle[k] >= out.vertex_count)
-        refuse(place, "Draco triangle " + std::to_string(f) + " refers to vertex " + std::to_string(triangle[k]) + " of " +
-                          std::to_string(out.vertex_count), kRemedy);
+        refuse(place,
+               "Draco triangle " + std::to_string(f) + " refers to vertex " + std::to_string(triangle[k]) + " of " +
+                   std::to_string(out.vertex_count),
+               kRemedy);
     }
     out.triangles.push_back(triangle);
   }
   const tinygltf::Value& ids = extension.Get("attributes");
   for (const std::string& name : ids.Keys())
-    out.attributes.emplace(name, decodeAttribute(mesh, name, static_cast<uint32_t>(number(ids, name.c_str())), place, budget));
+    out.attributes.emplace(
+        name, decodeAttribute(mesh, name, static_cast<uint32_t>(number(ids, name.c_str())), place, budget));
   budget.give(faces * kBytesPerFace);
-  for (const auto& [name, elements] : out.attributes) budget.give(elements.count() * elements.components() * sizeof(float));
+  for (const auto& [name, elements] : out.attributes)
+    budget.give(elements.count() * elements.components() * sizeof(float));
   return out;
 }
 

@@ -13,7 +13,7 @@ namespace ff::bake::gltf {
 struct DracoMesh {
   std::vector<std::array<uint32_t, 3>> triangles;  // vertex numbers < vertex_count
   uint64_t vertex_count = 0;
-  std::map<std::string, Elements> attributes;      // those named in the primitive's extension
+  std::map<std::string, Elements> attributes;  // those named in the primitive's extension
 };
 
 // extension: the reduced extension object of a primitive. mode: 4 or 5.

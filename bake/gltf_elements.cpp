@@ -38,11 +38,13 @@ Elements::Elements(const Document& document, int accessor) : place_("accessor " 
   stride_ = element_bytes_;
   if (a.bufferView >= 0) {
     base_ = viewBytes(document, a.bufferView, place_).data + a.byteOffset;
-    if (const size_t stride = document.model.bufferViews[static_cast<size_t>(a.bufferView)].byteStride) stride_ = stride;
+    if (const size_t stride = document.model.bufferViews[static_cast<size_t>(a.bufferView)].byteStride)
+      stride_ = stride;
   }
   if (a.sparse.isSparse) {
     sparse_count_ = static_cast<uint64_t>(a.sparse.count);
-    sparse_width_ = static_cast<uint64_t>(tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(a.sparse.indices.componentType)));
+    sparse_width_ =
+        static_cast<uint64_t>(tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(a.sparse.indices.componentType)));
     sparse_indices_ = viewBytes(document, a.sparse.indices.bufferView, place_).data + a.sparse.indices.byteOffset;
     sparse_values_ = viewBytes(document, a.sparse.values.bufferView, place_).data + a.sparse.values.byteOffset;
   }
@@ -50,14 +52,19 @@ Elements::Elements(const Document& document, int accessor) : place_("accessor " 
 }
 
 Elements::Elements(std::vector<float> values, uint32_t components, std::string place)
-    : place_(std::move(place)), count_(values.size() / components), components_(components), decoded_(std::move(values)) {}
+    : place_(std::move(place)),
+      count_(values.size() / components),
+      components_(components),
+      decoded_(std::move(values)) {}
 
 const uint8_t* Elements::find(uint64_t element) const {
   uint64_t lo = 0, hi = sparse_count_;  // first sparse index >= element
   while (lo < hi) {
     const uint64_t mid = (lo + hi) / 2;
-    if (littleEndian(sparse_indices_ + mid * sparse_width_, sparse_width_) < element) lo = mid + 1;
-    else hi = mid;
+    if (littleEndian(sparse_indices_ + mid * sparse_width_, sparse_width_) < element)
+      lo = mid + 1;
+    else
+      hi = mid;
   }
   if (lo < sparse_count_ && littleEndian(sparse_indices_ + lo * sparse_width_, sparse_width_) == element)
     return sparse_values_ + lo * element_bytes_;
@@ -72,11 +79,21 @@ float Elements::value(uint64_t element, uint32_t component) const {
     p += component * component_bytes_;
     const uint64_t raw = littleEndian(p, component_bytes_);
     switch (type_) {
-      case TINYGLTF_COMPONENT_TYPE_BYTE: v = fromInteger(static_cast<int8_t>(raw), 127, normalized_); break;
-      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE: v = fromInteger(static_cast<uint8_t>(raw), 255, normalized_); break;
-      case TINYGLTF_COMPONENT_TYPE_SHORT: v = fromInteger(static_cast<int16_t>(raw), 32767, normalized_); break;
-      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT: v = fromInteger(static_cast<uint16_t>(raw), 65535, normalized_); break;
-      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT: v = static_cast<float>(raw); break;
+      case TINYGLTF_COMPONENT_TYPE_BYTE:
+        v = fromInteger(static_cast<int8_t>(raw), 127, normalized_);
+        break;
+      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE:
+        v = fromInteger(static_cast<uint8_t>(raw), 255, normalized_);
+        break;
+      case TINYGLTF_COMPONENT_TYPE_SHORT:
+        v = fromInteger(static_cast<int16_t>(raw), 32767, normalized_);
+        break;
+      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT:
+        v = fromInteger(static_cast<uint16_t>(raw), 65535, normalized_);
+        break;
+      case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT:
+        v = static_cast<float>(raw);
+        break;
       default: {
         const auto bits = static_cast<uint32_t>(raw);
         std::memcpy(&v, &bits, sizeof v);

@@ -1,5 +1,5 @@
-// Values of an accessor by element and component, wherever they lie: packed, strided, normalised, sparse or decoded from
-// Draco. Private to gltf_*.cpp.
+// Values of an accessor by element and component, wherever they lie: packed, strided, normalised, sparse or decoded
+// from Draco. Private to gltf_*.cpp.
 #pragma once
 #include <string>
 #include <vector>

@@ -26,8 +26,7 @@ Vec3 toWorld(const Matrix& m, Vec3 p, const std::string& place) {
   for (int r = 0; r < 3; ++r) {
     const auto row = static_cast<size_t>(r);
     const double v = m[row] * double{p.x} + m[row + 4] * double{p.y} + m[row + 8] * double{p.z} + m[row + 12];
-    if (!(std::fabs(v) <= kFarthest))
-      refuse(place, "a world coordinate is beyond 1e9 m", "scale the scene to metres");
+    if (!(std::fabs(v) <= kFarthest)) refuse(place, "a world coordinate is beyond 1e9 m", "scale the scene to metres");
     out[r] = static_cast<float>(v);
   }
   return out;
@@ -63,22 +62,26 @@ class Builder {
   }
 
  private:
-  void addPrimitive(const tinygltf::Primitive& primitive, const std::vector<Instance>& instances, const std::string& place) {
+  void addPrimitive(const tinygltf::Primitive& primitive, const std::vector<Instance>& instances,
+                    const std::string& place) {
     const uint32_t material = materials_.number(primitive.material);
     const Surface surface = readSurface(document_, primitive, materials_.base(material), materials_.emission(material),
                                         place, budget_, scene_.warnings);
     const uint64_t vertices = surface.positions.size() * uint64_t{instances.size()};
     const uint64_t triangles = surface.triangles.size() * uint64_t{instances.size()};
     if (triangles > limits_.max_triangles - scene_.triangles.size())
-      refuse(place, "more than " + std::to_string(limits_.max_triangles) + " triangles", "split the scene or raise the limit");
-    if (vertices > 0xfffffffeu - scene_.positions.size()) refuse(place, "more than 4294967294 vertices", "split the scene");
+      refuse(place, "more than " + std::to_string(limits_.max_triangles) + " triangles",
+             "split the scene or raise the limit");
+    if (vertices > 0xfffffffeu - scene_.positions.size())
+      refuse(place, "more than 4294967294 vertices", "split the scene");
     budget_.take(vertices * sizeof(Vec3) + triangles * sizeof(Triangle), place);
     std::vector<uint32_t> tints;
     for (const Vec3 color : surface.colors) tints.push_back(materials_.tinted(material, color));
     for (const Instance& instance : instances) addInstance(surface, instance, material, tints);
   }
 
-  void addInstance(const Surface& surface, const Instance& instance, uint32_t material, const std::vector<uint32_t>& tints) {
+  void addInstance(const Surface& surface, const Instance& instance, uint32_t material,
+                   const std::vector<uint32_t>& tints) {
     const auto first = static_cast<uint32_t>(scene_.positions.size());
     const std::string place = "node " + std::to_string(instance.node);
     for (const Vec3 p : surface.positions) scene_.positions.push_back(toWorld(instance.to_world, p, place));
@@ -148,7 +151,7 @@ std::array<uint8_t, 16> contentHash(const Scene& scene) {
   hasher->add(scene.uv1);
   hasher->add(uint64_t{scene.materials.size()});
   for (const Material& m : scene.materials) {
-    const float numbers[] = {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha, m.metallic,
+    const float numbers[] = {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha,       m.metallic,
                              m.emission.x,   m.emission.y,   m.emission.z,   m.alpha_cutoff};
     const uint32_t words[] = {m.base_image, m.emission_image, m.repeat, m.double_sided, m.cutout};
     hasher->add(numbers, sizeof numbers);

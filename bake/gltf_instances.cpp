@@ -20,10 +20,22 @@ Matrix multiply(const Matrix& a, const Matrix& b) {
 // t: 3 numbers, q: unit quaternion x y z w, s: 3 numbers.
 Matrix compose(const double* t, const double* q, const double* s) {
   const double x = q[0], y = q[1], z = q[2], w = q[3];
-  return {s[0] * (1 - 2 * (y * y + z * z)), s[0] * (2 * (x * y + z * w)), s[0] * (2 * (x * z - y * w)), 0,
-          s[1] * (2 * (x * y - z * w)), s[1] * (1 - 2 * (x * x + z * z)), s[1] * (2 * (y * z + x * w)), 0,
-          s[2] * (2 * (x * z + y * w)), s[2] * (2 * (y * z - x * w)), s[2] * (1 - 2 * (x * x + y * y)), 0,
-          t[0], t[1], t[2], 1};
+  return {s[0] * (1 - 2 * (y * y + z * z)),
+          s[0] * (2 * (x * y + z * w)),
+          s[0] * (2 * (x * z - y * w)),
+          0,
+          s[1] * (2 * (x * y - z * w)),
+          s[1] * (1 - 2 * (x * x + z * z)),
+          s[1] * (2 * (y * z + x * w)),
+          0,
+          s[2] * (2 * (x * z + y * w)),
+          s[2] * (2 * (y * z - x * w)),
+          s[2] * (1 - 2 * (x * x + y * y)),
+          0,
+          t[0],
+          t[1],
+          t[2],
+          1};
 }
 
 Matrix localTransform(const tinygltf::Node& node) {
@@ -69,7 +81,9 @@ void addGpuInstances(const Document& document, const tinygltf::Value& extension,
 }  // namespace
 
 bool isMirror(const Matrix& m) {
-  return m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) + m[8] * (m[1] * m[6] - m[2] * m[5]) < 0;
+  return m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) +
+             m[8] * (m[1] * m[6] - m[2] * m[5]) <
+         0;
 }
 
 std::vector<std::vector<Instance>> listInstances(const Document& document, Budget& budget) {
@@ -90,8 +104,10 @@ std::vector<std::vector<Instance>> listInstances(const Document& document, Budge
     if (node.mesh >= 0) {
       auto& list = out[static_cast<size_t>(node.mesh)];
       const auto instancing = node.extensions.find("EXT_mesh_gpu_instancing");
-      if (instancing == node.extensions.end()) list.push_back(here);
-      else addGpuInstances(document, instancing->second, here, list, budget);
+      if (instancing == node.extensions.end())
+        list.push_back(here);
+      else
+        addGpuInstances(document, instancing->second, here, list, budget);
     }
     for (size_t i = node.children.size(); i-- > 0;) stack.push_back({here.to_world, node.children[i]});
   }

@@ -18,7 +18,8 @@ uint64_t toInteger(const Json& value, const std::string& place, const char* key)
     const auto n = value.get<double>();
     if (n >= 0 && n <= kLargestExact && n == std::floor(n)) return static_cast<uint64_t>(n);
   }
-  refuse(place, std::string(key) + " must be a non-negative integer, it is " + printable(value.dump(-1, ' ', true, Json::error_handler_t::replace)));
+  refuse(place, std::string(key) + " must be a non-negative integer, it is " +
+                    printable(value.dump(-1, ' ', true, Json::error_handler_t::replace)));
 }
 
 double toNumber(const Json& value, const std::string& place, const char* key) {
@@ -49,8 +50,9 @@ std::string printable(const std::string& text) {
 
 void Budget::take(uint64_t bytes, const std::string& place) {
   if (bytes > left())
-    refuse(place, "needs " + std::to_string(bytes >> 20) + " MiB beside the " + std::to_string(used_ >> 20) +
-                      " MiB in use, the limit is " + std::to_string(limit_ >> 20) + " MiB",
+    refuse(place,
+           "needs " + std::to_string(bytes >> 20) + " MiB beside the " + std::to_string(used_ >> 20) +
+               " MiB in use, the limit is " + std::to_string(limit_ >> 20) + " MiB",
            "split the scene or raise the memory limit");
   used_ += bytes;
 }
@@ -80,7 +82,8 @@ std::optional<uint32_t> Item::reference(const char* key, size_t count, const cha
   const auto n = integer(key);
   if (!n) return {};
   if (*n >= count)
-    refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(*n) + ", there are " + std::to_string(count));
+    refuse(place_,
+           std::string(key) + " refers to " + kind + " " + std::to_string(*n) + ", there are " + std::to_string(count));
   return static_cast<uint32_t>(*n);
 }
 
@@ -93,7 +96,8 @@ std::vector<uint32_t> Item::references(const char* key, size_t count, const char
   for (const Json& element : *value) {
     const uint64_t n = toInteger(element, place_, key);
     if (n >= count)
-      refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(n) + ", there are " + std::to_string(count));
+      refuse(place_, std::string(key) + " refers to " + kind + " " + std::to_string(n) + ", there are " +
+                         std::to_string(count));
     out.push_back(static_cast<uint32_t>(n));
   }
   return out;

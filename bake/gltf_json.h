@@ -42,14 +42,14 @@ class Item {
 
   const std::string& place() const { return place_; }
   bool has(const char* key) const { return json_->contains(key); }
-  std::optional<uint64_t> integer(const char* key) const;        // 0..2^63; 3.0 counts as 3
+  std::optional<uint64_t> integer(const char* key) const;  // 0..2^63; 3.0 counts as 3
   uint64_t requiredInteger(const char* key) const;
   std::optional<uint32_t> reference(const char* key, size_t count, const char* kind) const;  // < count
   std::vector<uint32_t> references(const char* key, size_t count, const char* kind) const;
-  std::optional<double> number(const char* key) const;           // finite
+  std::optional<double> number(const char* key) const;               // finite
   std::vector<double> numbers(const char* key, size_t count) const;  // empty if absent, else `count` finite numbers
-  bool flag(const char* key) const;                              // absent: false
-  std::string text(const char* key) const;                       // absent: ""
+  bool flag(const char* key) const;                                  // absent: false
+  std::string text(const char* key) const;                           // absent: ""
   std::optional<Item> object(const char* key) const;
   std::optional<Item> extension(const char* name) const;
   std::vector<Item> items(const char* key, const char* kind) const;  // "kind 0", "kind 1", ...

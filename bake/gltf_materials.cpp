@@ -7,7 +7,8 @@
 namespace ff::bake::gltf {
 namespace {
 
-// glTF's own default is a white metal, which has no diffuse reflection at all; untextured grey serves a radiosity baker.
+// glTF's own default is a white metal, which has no diffuse reflection at all; untextured grey serves a radiosity
+// baker.
 constexpr float kDefaultAlbedo = 0.8f;
 const char* const kFactorAlone = "the factor alone is used";
 constexpr float kTintSteps = 15;  // per channel, in square roots: at most 4096 tints of a material
@@ -33,8 +34,7 @@ uint32_t Materials::image(int texture, bool* repeat) {
     *repeat = s.wrapS != TINYGLTF_TEXTURE_WRAP_CLAMP_TO_EDGE || s.wrapT != TINYGLTF_TEXTURE_WRAP_CLAMP_TO_EDGE;
   }
   if (t.source < 0) {
-    scene_.warnings.push_back("texture " + std::to_string(texture) +
-                              ": has no PNG or JPEG source; " + kFactorAlone);
+    scene_.warnings.push_back("texture " + std::to_string(texture) + ": has no PNG or JPEG source; " + kFactorAlone);
     return kNone;
   }
   const auto source = static_cast<uint32_t>(t.source);
@@ -73,7 +73,8 @@ float Materials::meanMetal(int texture) {
   const tinygltf::Texture& t = document_.model.textures[static_cast<size_t>(texture)];
   // Factor 1 is how files say "see the picture"; without it most surfaces are no metals, and none should turn black.
   if (t.source < 0) return 0;
-  const auto picture = readImage(document_, static_cast<uint32_t>(t.source), "taken as no metal", budget_, scene_.warnings);
+  const auto picture =
+      readImage(document_, static_cast<uint32_t>(t.source), "taken as no metal", budget_, scene_.warnings);
   if (!picture) return 0;
   uint64_t sum = 0;
   for (size_t i = 2; i < picture->rgba.size(); i += 4) sum += picture->rgba[i];

@@ -12,7 +12,8 @@ namespace ff::bake::gltf {
 
 class Materials {
  public:
-  Materials(const Document& document, Scene& scene, Budget& budget) : document_(document), scene_(scene), budget_(budget) {}
+  Materials(const Document& document, Scene& scene, Budget& budget)
+      : document_(document), scene_(scene), budget_(budget) {}
 
   // Number in Scene::materials of a document's material (-1: none named), read on first use.
   uint32_t number(int material);

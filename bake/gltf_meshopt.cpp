@@ -1,10 +1,10 @@
 #include "bake/gltf_meshopt.h"
 
-#include "bake/gltf_meshopt_vertices.h"
-
 #include <cmath>
 #include <cstring>
 #include <span>
+
+#include "bake/gltf_meshopt_vertices.h"
 
 #ifdef FF_HAVE_MESHOPTIMIZER
 #include <meshoptimizer.h>
@@ -18,7 +18,8 @@ bool decode(const std::string& mode, std::vector<uint8_t>& out, uint64_t count, 
   if (mode == "ATTRIBUTES") return decodeMeshoptVertices(stream, stride, out);
 #ifdef FF_HAVE_MESHOPTIMIZER
   (void)place;
-  if (mode == "TRIANGLES") return meshopt_decodeIndexBuffer(out.data(), count, stride, stream.data(), stream.size()) == 0;
+  if (mode == "TRIANGLES")
+    return meshopt_decodeIndexBuffer(out.data(), count, stride, stream.data(), stream.size()) == 0;
   return meshopt_decodeIndexSequence(out.data(), count, stride, stream.data(), stream.size()) == 0;
 #else
   (void)count;
@@ -45,15 +46,18 @@ void decodeView(const Item& view, const Item& meshopt, size_t number, Storage& s
   const std::string mode = meshopt.text("mode"), filter = meshopt.text("filter");
   const uint64_t available = storage.present[*source] ? storage.buffers[*source].size() : 0;
   if (offset > available || bytes > available - offset)
-    refuse(meshopt.place(), "offset " + std::to_string(offset) + " and length " + std::to_string(bytes) + " end past buffer " +
-                                std::to_string(*source));
+    refuse(meshopt.place(), "offset " + std::to_string(offset) + " and length " + std::to_string(bytes) +
+                                " end past buffer " + std::to_string(*source));
   const bool attributes = mode == "ATTRIBUTES", triangles = mode == "TRIANGLES";
-  if (!attributes && !triangles && mode != "INDICES") refuse(meshopt.place(), "mode \"" + printable(mode) + "\" is unknown");
+  if (!attributes && !triangles && mode != "INDICES")
+    refuse(meshopt.place(), "mode \"" + printable(mode) + "\" is unknown");
   if (attributes ? stride < 4 || stride > 256 || stride % 4 : stride != 2 && stride != 4)
     refuse(meshopt.place(), "byteStride " + std::to_string(stride) + " does not fit " + mode);
-  if (count < 1 || count > 0xfffffffeu || (triangles && count % 3)) refuse(meshopt.place(), "count " + std::to_string(count));
+  if (count < 1 || count > 0xfffffffeu || (triangles && count % 3))
+    refuse(meshopt.place(), "count " + std::to_string(count));
   if (count * stride != storage.views[number].length)
-    refuse(meshopt.place(), std::to_string(count) + " elements of " + std::to_string(stride) + " bytes do not fill the view");
+    refuse(meshopt.place(),
+           std::to_string(count) + " elements of " + std::to_string(stride) + " bytes do not fill the view");
   if (filter == "EXPONENTIAL" && !attributes) refuse(meshopt.place(), "a filter on indices");
   // The other filters serve normals, rotations and colours, which may be left alone; positions and texture coordinates
   // come without or with the exponential one.

@@ -38,7 +38,8 @@ bool readGroup(Cursor& cursor, uint32_t bits, std::span<uint8_t> out) {
   const uint32_t sentinel = (1u << bits) - 1;
   for (uint32_t i = 0; i < kGroup; ++i) {
     const uint32_t at = i * bits % 8;
-    const uint32_t shift = bits == 1 ? at : 8 - bits - at;  // single bits run from the lowest, wider codes from the highest
+    const uint32_t shift =
+        bits == 1 ? at : 8 - bits - at;  // single bits run from the lowest, wider codes from the highest
     const uint32_t code = (uint32_t{codes[i * bits / 8]} >> shift) & sentinel;
     out[i] = static_cast<uint8_t>(code);
     if (bits < 8 && code == sentinel) {
@@ -85,7 +86,8 @@ bool decodeMeshoptVertices(std::span<const uint8_t> stream, uint64_t stride, std
   const uint32_t version = stream[0] & 0x0f;
   if (version > 1) return false;
   const uint64_t channels = stride / 4;
-  const uint64_t tail = stride + (version == 1 ? channels : 0), padded_tail = std::max<uint64_t>(tail, version == 1 ? 24 : 32);
+  const uint64_t tail = stride + (version == 1 ? channels : 0),
+                 padded_tail = std::max<uint64_t>(tail, version == 1 ? 24 : 32);
   if (stream.size() < 1 + padded_tail) return false;
   std::array<uint8_t, 256> previous{};
   std::copy_n(stream.end() - static_cast<std::ptrdiff_t>(tail), stride, previous.begin());

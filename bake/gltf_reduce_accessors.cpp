@@ -5,10 +5,17 @@ namespace {
 
 uint64_t componentBytes(uint64_t component_type) {
   switch (component_type) {
-    case 5120: case 5121: return 1;
-    case 5122: case 5123: return 2;
-    case 5125: case 5126: return 4;
-    default: return 0;
+    case 5120:
+    case 5121:
+      return 1;
+    case 5122:
+    case 5123:
+      return 2;
+    case 5125:
+    case 5126:
+      return 4;
+    default:
+      return 0;
   }
 }
 
@@ -34,10 +41,11 @@ uint64_t lastElementBytes(const std::string& type, uint64_t component) {
 }
 
 // All operands are below 2^63 (Item::integer) and counts below 2^32, strides below 2^8: nothing here can wrap.
-void checkExtent(const Item& item, uint64_t count, uint64_t last_element, uint64_t stride, uint64_t offset, uint64_t alignment,
-                 uint32_t view, const Extents& extents) {
+void checkExtent(const Item& item, uint64_t count, uint64_t last_element, uint64_t stride, uint64_t offset,
+                 uint64_t alignment, uint32_t view, const Extents& extents) {
   if (offset % alignment || (extents.offset + offset) % alignment)
-    refuse(item.place(), "byteOffset " + std::to_string(offset) + " is not aligned to " + std::to_string(alignment) + " bytes");
+    refuse(item.place(),
+           "byteOffset " + std::to_string(offset) + " is not aligned to " + std::to_string(alignment) + " bytes");
   const uint64_t needed = stride * (count - 1) + last_element;
   if (offset > extents.length || needed > extents.length - offset)
     refuse(item.place(), "count " + std::to_string(count) + " needs " + std::to_string(needed) + " bytes from offset " +
@@ -61,7 +69,8 @@ void checkSparseOrder(const Item& item, const Storage& storage, uint32_t view, u
     uint64_t index = 0;
     for (uint64_t b = 0; b < width; ++b) index |= uint64_t{p[i * width + b]} << (8 * b);
     if (index >= accessor_count)
-      refuse(item.place(), "sparse index " + std::to_string(index) + " of " + std::to_string(accessor_count) + " elements");
+      refuse(item.place(),
+             "sparse index " + std::to_string(index) + " of " + std::to_string(accessor_count) + " elements");
     if (index < least) refuse(item.place(), "sparse indices must increase");
     least = index + 1;
   }
@@ -71,7 +80,8 @@ Json reduceSparse(const Item& item, const Item& sparse, const Storage& storage, 
                   uint64_t element, uint64_t component, bool* present) {
   const uint64_t n = count(sparse);
   if (n > facts.count)
-    refuse(sparse.place(), "count " + std::to_string(n) + " is larger than the accessor's " + std::to_string(facts.count));
+    refuse(sparse.place(),
+           "count " + std::to_string(n) + " is larger than the accessor's " + std::to_string(facts.count));
   Json out = {{"count", n}};
   for (const char* part : {"indices", "values"}) {
     const auto side = sparse.object(part);
@@ -114,7 +124,8 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
     if (!element) refuse(item.place(), "type \"" + printable(f.type) + "\" is unknown");
     f.normalized = item.flag("normalized");
     if (f.normalized && component == 4) refuse(item.place(), "32-bit components cannot be normalized");
-    Json reduced = {{"count", f.count}, {"componentType", component_type}, {"type", f.type}, {"normalized", f.normalized}};
+    Json reduced = {
+        {"count", f.count}, {"componentType", component_type}, {"type", f.type}, {"normalized", f.normalized}};
     bool present = true;
     if (const auto view = item.reference("bufferView", storage.views.size(), "bufferView")) {
       const Extents& extents = storage.views[*view];
@@ -122,7 +133,8 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
       if (extents.stride && extents.stride < element)
         refuse(item.place(), "an element of " + std::to_string(element) + " bytes does not fit the byteStride " +
                                  std::to_string(extents.stride) + " of bufferView " + std::to_string(*view));
-      checkExtent(item, f.count, lastElementBytes(f.type, component), extents.stride ? extents.stride : element, offset, component, *view, extents);
+      checkExtent(item, f.count, lastElementBytes(f.type, component), extents.stride ? extents.stride : element, offset,
+                  component, *view, extents);
       reduced["bufferView"] = *view;
       reduced["byteOffset"] = offset;
       f.view = static_cast<int>(*view);

@@ -94,8 +94,8 @@ Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::st
       const double t = warn.clamped(transmission->number("transmissionFactor").value_or(0), 0, 1, *transmission,
                                     "transmissionFactor");
       if (t > 0.5) {  // windows: light must pass
-        warn.sayOnce(transmission_said, "surfaces that transmit more than half of the light are left out (first: " +
-                                            item.place() + ")");
+        warn.sayOnce(transmission_said,
+                     "surfaces that transmit more than half of the light are left out (first: " + item.place() + ")");
         if (mode == "OPAQUE") base[3] = 1, cutoff = 0.5;
         mode = "MASK";
         base[3] *= 1 - t;
@@ -113,9 +113,9 @@ Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::st
     for (double& x : emission) x = warn.clamped(x * strength, 0, kLargestEmission, item, "emission");
     pbr["baseColorFactor"] = base;
     if (base_texture) pbr["baseColorTexture"] = std::move(*base_texture);
-    Json reduced = {{"name", item.text("name")},   {"pbrMetallicRoughness", std::move(pbr)}, {"emissiveFactor", emission},
-                    {"alphaMode", mode},           {"alphaCutoff", cutoff},
-                    {"doubleSided", item.flag("doubleSided")}};
+    Json reduced = {{"name", item.text("name")},  {"pbrMetallicRoughness", std::move(pbr)},
+                    {"emissiveFactor", emission}, {"alphaMode", mode},
+                    {"alphaCutoff", cutoff},      {"doubleSided", item.flag("doubleSided")}};
     if (auto t = texture(item, "emissiveTexture", texture_count)) reduced["emissiveTexture"] = std::move(*t);
     out.push_back(std::move(reduced));
   }

@@ -5,7 +5,8 @@
 namespace ff::bake::gltf {
 namespace {
 
-constexpr int kByte = 5120, kUnsignedByte = 5121, kShort = 5122, kUnsignedShort = 5123, kUnsignedInt = 5125, kFloat = 5126;
+constexpr int kByte = 5120, kUnsignedByte = 5121, kShort = 5122, kUnsignedShort = 5123, kUnsignedInt = 5125,
+              kFloat = 5126;
 
 // What may be read as an attribute of this name; quantized: KHR_mesh_quantization is in use.
 void checkFormat(const Item& item, const std::string& name, uint32_t accessor, const AccessorFacts& f, bool quantized) {
@@ -13,12 +14,16 @@ void checkFormat(const Item& item, const std::string& name, uint32_t accessor, c
                      f.component_type == kUnsignedShort;
   const bool core_small = (f.component_type == kUnsignedByte || f.component_type == kUnsignedShort) && f.normalized;
   bool fits = false;
-  if (name == "POSITION") fits = f.type == "VEC3" && (f.component_type == kFloat || (small && quantized));
-  else if (name == "COLOR_0") fits = (f.type == "VEC3" || f.type == "VEC4") && (f.component_type == kFloat || core_small);
-  else fits = f.type == "VEC2" && (f.component_type == kFloat || core_small || (small && quantized));
+  if (name == "POSITION")
+    fits = f.type == "VEC3" && (f.component_type == kFloat || (small && quantized));
+  else if (name == "COLOR_0")
+    fits = (f.type == "VEC3" || f.type == "VEC4") && (f.component_type == kFloat || core_small);
+  else
+    fits = f.type == "VEC2" && (f.component_type == kFloat || core_small || (small && quantized));
   if (!fits)
-    refuse(item.place(), name + ": accessor " + std::to_string(accessor) + " has type " + f.type + " of component type " +
-                             std::to_string(f.component_type) + (f.normalized ? " (normalized)" : ""));
+    refuse(item.place(), name + ": accessor " + std::to_string(accessor) + " has type " + f.type +
+                             " of component type " + std::to_string(f.component_type) +
+                             (f.normalized ? " (normalized)" : ""));
 }
 
 // TEXCOORD_<n> without leading zeros, n below 64.
@@ -35,7 +40,10 @@ Json reduceDraco(const Item& item, const Item& draco, const Json& kept, size_t v
   if (!view) refuse(draco.place(), "bufferView is missing");
   const auto ids = draco.object("attributes");
   if (!ids || !ids->has("POSITION")) refuse(draco.place(), "attributes has no POSITION");
-  Json out = {{"bufferView", *view}, {"vertexCount", vertex_count}, {"indexCount", index_count}, {"attributes", Json::object()}};
+  Json out = {{"bufferView", *view},
+              {"vertexCount", vertex_count},
+              {"indexCount", index_count},
+              {"attributes", Json::object()}};
   for (const auto& [name, unused] : kept.items()) {
     if (!ids->has(name.c_str())) refuse(item.place(), name + " is not among the Draco attributes");
     const uint64_t id = *ids->integer(name.c_str());
@@ -82,9 +90,11 @@ Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors,
       if (indices) {
         const AccessorFacts& f = accessors[*indices];
         index_count = f.count;
-        if (f.strided) refuse(item.place(), "indices: the bufferView of accessor " + std::to_string(*indices) + " has a byteStride");
+        if (f.strided)
+          refuse(item.place(), "indices: the bufferView of accessor " + std::to_string(*indices) + " has a byteStride");
         if (f.type != "SCALAR" || f.normalized ||
-            (f.component_type != kUnsignedByte && f.component_type != kUnsignedShort && f.component_type != kUnsignedInt))
+            (f.component_type != kUnsignedByte && f.component_type != kUnsignedShort &&
+             f.component_type != kUnsignedInt))
           refuse(item.place(), "indices: accessor " + std::to_string(*indices) + " has type " + f.type +
                                    " of component type " + std::to_string(f.component_type));
       }

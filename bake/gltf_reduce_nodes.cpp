@@ -24,7 +24,8 @@ Json reduceInstancing(const Item& instancing, const std::vector<AccessorFacts>& 
     if (!fits)
       refuse(instancing.place(), std::string(name) + ": accessor " + std::to_string(*accessor) + " has type " + f.type +
                                      " of component type " + std::to_string(f.component_type));
-    if (!f.has_data) refuse(instancing.place(), std::string(name) + ": accessor " + std::to_string(*accessor) + " has no data");
+    if (!f.has_data)
+      refuse(instancing.place(), std::string(name) + ": accessor " + std::to_string(*accessor) + " has no data");
     if (count && f.count != count) refuse(instancing.place(), "attributes of different counts");
     count = f.count;
     kept[name] = *accessor;
@@ -88,7 +89,8 @@ Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, 
     if (const auto instancing = item.extension("EXT_mesh_gpu_instancing"))
       reduced["extensions"]["EXT_mesh_gpu_instancing"] = reduceInstancing(*instancing, accessors);
     if (const auto visibility = item.extension("KHR_node_visibility"))
-      if (visibility->has("visible")) reduced["extensions"]["KHR_node_visibility"]["visible"] = visibility->flag("visible");
+      if (visibility->has("visible"))
+        reduced["extensions"]["KHR_node_visibility"]["visible"] = visibility->flag("visible");
     out.push_back(std::move(reduced));
   }
   refuseCycles(parent);
@@ -102,7 +104,8 @@ Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, 
     std::vector<uint32_t>& list = lists.back();
     for (const uint32_t node : list) {
       if (parent[node] != kNoNode)
-        refuse(scene.place(), "lists node " + std::to_string(node) + ", which is a child of node " + std::to_string(parent[node]));
+        refuse(scene.place(),
+               "lists node " + std::to_string(node) + ", which is a child of node " + std::to_string(parent[node]));
       if (listed_by[node] == lists.size()) refuse(scene.place(), "lists node " + std::to_string(node) + " twice");
       listed_by[node] = lists.size();
     }

@@ -19,15 +19,19 @@ void assemble(int mode, uint64_t count, const Corner& corner, Triangles& out) {
   const uint64_t n = mode == TINYGLTF_MODE_TRIANGLES ? count / 3 : count < 3 ? 0 : count - 2;
   out.reserve(n);
   for (uint64_t i = 0; i < n; ++i) {
-    if (mode == TINYGLTF_MODE_TRIANGLES) out.push_back({corner(3 * i), corner(3 * i + 1), corner(3 * i + 2)});
-    else if (mode == TINYGLTF_MODE_TRIANGLE_STRIP) out.push_back({corner(i), corner(i + 1 + i % 2), corner(i + 2 - i % 2)});
-    else out.push_back({corner(i + 1), corner(i + 2), corner(0)});
+    if (mode == TINYGLTF_MODE_TRIANGLES)
+      out.push_back({corner(3 * i), corner(3 * i + 1), corner(3 * i + 2)});
+    else if (mode == TINYGLTF_MODE_TRIANGLE_STRIP)
+      out.push_back({corner(i), corner(i + 1 + i % 2), corner(i + 2 - i % 2)});
+    else
+      out.push_back({corner(i + 1), corner(i + 2), corner(0)});
   }
 }
 
 void checkCount(int mode, uint64_t count, const std::string& place, std::vector<std::string>& warnings) {
   if (mode == TINYGLTF_MODE_TRIANGLES ? count % 3 != 0 : count < 3)
-    warnings.push_back(place + ": " + std::to_string(count) + " corners do not make whole triangles, the rest is left out");
+    warnings.push_back(place + ": " + std::to_string(count) +
+                       " corners do not make whole triangles, the rest is left out");
 }
 
 Vec2 transformed(const UvSource& source, const Elements& uv, uint64_t i) {
@@ -90,18 +94,23 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
     if (primitive.indices >= 0) {
       const Elements indices(document, primitive.indices);
       checkCount(primitive.mode, indices.count(), place, warnings);
-      budget.take(taken = surfaceBytes(std::min(vertex_count, indices.count()), indices.count()) + vertex_count * 4, place);
-      assemble(primitive.mode, indices.count(), [&](uint64_t i) {
-        const uint32_t v = indices.index(i);
-        if (v >= vertex_count)
-          refuse(place, "index " + std::to_string(i) + " (accessor " + std::to_string(primitive.indices) + ") is vertex " +
-                            std::to_string(v) + " of " + std::to_string(vertex_count));
-        return v;
-      }, triangles);
+      budget.take(taken = surfaceBytes(std::min(vertex_count, indices.count()), indices.count()) + vertex_count * 4,
+                  place);
+      assemble(
+          primitive.mode, indices.count(),
+          [&](uint64_t i) {
+            const uint32_t v = indices.index(i);
+            if (v >= vertex_count)
+              refuse(place, "index " + std::to_string(i) + " (accessor " + std::to_string(primitive.indices) +
+                                ") is vertex " + std::to_string(v) + " of " + std::to_string(vertex_count));
+            return v;
+          },
+          triangles);
     } else {
       checkCount(primitive.mode, vertex_count, place, warnings);
       budget.take(taken = surfaceBytes(vertex_count, vertex_count) + vertex_count * 4, place);
-      assemble(primitive.mode, vertex_count, [](uint64_t i) { return static_cast<uint32_t>(i); }, triangles);
+      assemble(
+          primitive.mode, vertex_count, [](uint64_t i) { return static_cast<uint32_t>(i); }, triangles);
     }
   }
 
@@ -123,7 +132,8 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
     if (color != attributes.end()) {
       Vec3 sum;
       for (const uint32_t v : triangle)
-        for (int c = 0; c < 3; ++c) sum[c] += std::clamp(color->second.value(v, static_cast<uint32_t>(c)), 0.0f, 1.0f) / 3;
+        for (int c = 0; c < 3; ++c)
+          sum[c] += std::clamp(color->second.value(v, static_cast<uint32_t>(c)), 0.0f, 1.0f) / 3;
       out.colors.push_back(sum);
     }
     for (uint32_t& v : triangle) {

@@ -19,9 +19,9 @@ struct UvSource {
 
 struct Surface {
   std::vector<Vec3> positions;
-  std::vector<Vec2> uv0, uv1;                        // empty where the source is not used
-  std::vector<std::array<uint32_t, 3>> triangles;    // vertex numbers < positions.size()
-  std::vector<Vec3> colors;                          // mean of COLOR_0 per triangle, linear; empty without
+  std::vector<Vec2> uv0, uv1;                      // empty where the source is not used
+  std::vector<std::array<uint32_t, 3>> triangles;  // vertex numbers < positions.size()
+  std::vector<Vec3> colors;                        // mean of COLOR_0 per triangle, linear; empty without
 };
 
 // Refuses vertex numbers out of range, values that are not finite, and texture coordinates that are missing.

@@ -1,5 +1,6 @@
 // ffimport_check FILE: imports one glTF file and prints what came out as one JSON line. Exit codes 0 and 1..3 as every
-// tool's; an invariant that the importer broke (an index out of range, a coordinate that is not finite) ends in abort().
+// tool's; an invariant that the importer broke (an index out of range, a coordinate that is not finite) ends in
+// abort().
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <cstdio>
@@ -16,7 +17,8 @@ using ff::Vec3;
 // What scene.h promises; returns the bounds.
 ff::Box checkScene(const ff::bake::Scene& scene) {
   ff::Box bounds;
-  for (const Vec3 p : scene.positions) FF_CHECK_EQ(std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z), true);
+  for (const Vec3 p : scene.positions)
+    FF_CHECK_EQ(std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z), true);
   for (const auto* uv : {&scene.uv0, &scene.uv1}) {
     if (!uv->empty()) FF_CHECK_EQ(uv->size(), scene.positions.size());
     for (const ff::bake::Vec2 t : *uv) FF_CHECK_EQ(std::isfinite(t.x) && std::isfinite(t.y), true);
@@ -62,9 +64,13 @@ int main(int argc, char** argv) {
     return static_cast<int>(scene.error().code);
   }
   const ff::Box bounds = checkScene(*scene);
-  nlohmann::json out = {{"file", file}, {"triangles", scene->triangles.size()}, {"vertices", scene->positions.size()},
-                        {"materials", scene->materials.size()}, {"images", scene->images.size()},
-                        {"hash", hex(scene->content_hash)}, {"warnings", scene->warnings}};
+  nlohmann::json out = {{"file", file},
+                        {"triangles", scene->triangles.size()},
+                        {"vertices", scene->positions.size()},
+                        {"materials", scene->materials.size()},
+                        {"images", scene->images.size()},
+                        {"hash", hex(scene->content_hash)},
+                        {"warnings", scene->warnings}};
   if (!bounds.empty())
     out["extent_m"] = {bounds.hi.x - bounds.lo.x, bounds.hi.y - bounds.lo.y, bounds.hi.z - bounds.lo.z};
   std::cout << out.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) << '\n';

@@ -1,0 +1,355 @@
+#include <draco/compression/encode.h>
+#include <draco/mesh/triangle_soup_mesh_builder.h>
+
+#include <cmath>
+#include <random>
+
+#ifdef FF_HAVE_MESHOPTIMIZER
+#include <meshoptimizer.h>
+#endif
+
+#include "bake/gltf_meshopt_vertices.h"
+#include "tests/bake/gltf_file.h"
+
+namespace ff::bake {
+namespace {
+
+TEST(Import, ReadsATriangleFromGltfWithABufferFileFromGlbAndFromADataUri) {
+  const TempFolder folder;
+  const Scene from_file = importGood(GltfFile().withTriangle().save(folder, "a.gltf"));
+  const Scene from_glb = importGood(GltfFile().withTriangle().save(folder, "a.glb"));
+  GltfFile embedded;
+  embedded.withTriangle();
+  // (0,0,0), (1,0,0), (0,1,0) as little-endian floats.
+  embedded.json["buffers"] = {
+      {{"byteLength", 36},
+       {"uri", "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}}};
+  const Scene from_uri = importGood(embedded.save(folder, "b.gltf"));
+  for (const Scene* scene : {&from_file, &from_glb, &from_uri}) {
+    ASSERT_EQ(scene->triangles.size(), 1u);
+    expectNear(areaVector(*scene, 0), {0, 0, 1});
+    EXPECT_EQ(scene->content_hash, from_file.content_hash);
+  }
+  EXPECT_EQ(from_glb.name, "a.glb");
+}
+
+TEST(Import, ContentHashChangesWithACoordinateAndAMaterialButNotWithANodeName) {
+  const TempFolder folder;
+  const auto hash = [&](const char* name, auto&& edit) {
+    GltfFile file;
+    file.withTriangle();
+    file.json["materials"] = {{{"pbrMetallicRoughness", {{"metallicFactor", 0}}}}};
+    file.primitive()["material"] = 0;
+    edit(file);
+    return importGood(file.save(folder, name)).content_hash;
+  };
+  const auto plain = hash("0.glb", [](GltfFile&) {});
+  EXPECT_EQ(plain, hash("1.glb", [](GltfFile& f) { f.json["nodes"][0]["name"] = "n"; }));
+  EXPECT_NE(plain, hash("2.glb", [](GltfFile& f) { f.json["nodes"][0]["translation"] = {0, 0, 1}; }));
+  EXPECT_NE(plain, hash("3.glb", [](GltfFile& f) { f.json["materials"][0]["doubleSided"] = true; }));
+}
+
+TEST(Import, StripsAndFansGiveTheTrianglesOfTheSpecificationWithTheirWinding) {
+  const TempFolder folder;
+  // A zigzag over the unit square, and a fan around its first corner: each two triangles facing +z.
+  for (const auto& [mode, positions] : {std::pair{5, std::vector<float>{0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0}},
+                                        std::pair{6, std::vector<float>{0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0}}}) {
+    GltfFile file;
+    file.primitive()["attributes"]["POSITION"] = file.floats(positions, "VEC3");
+    file.primitive()["mode"] = mode;
+    const Scene scene = importGood(file.save(folder, "m.glb"));
+    ASSERT_EQ(scene.triangles.size(), 2u);
+    expectNear(areaVector(scene, 0), {0, 0, 1});
+    expectNear(areaVector(scene, 1), {0, 0, 1});
+  }
+}
+
+TEST(Import, IndicesOfOneTwoAndFourBytesGiveTheSameScene) {
+  const TempFolder folder;
+  const auto load = [&](const char* name, auto zero, int component_type) {
+    using T = decltype(zero);
+    GltfFile file;
+    file.primitive()["attributes"]["POSITION"] = file.floats({9, 9, 9, 0, 0, 0, 1, 0, 0, 0, 1, 0}, "VEC3");
+    file.primitive()["indices"] = file.accessor(std::vector<T>{1, 2, 3}, component_type, "SCALAR");
+    return importGood(file.save(folder, name));
+  };
+  const Scene bytes = load("1.glb", uint8_t{0}, 5121);
+  EXPECT_EQ(bytes.positions.size(), 3u) << "the vertex that nothing uses is not kept";
+  expectNear(areaVector(bytes, 0), {0, 0, 1});
+  EXPECT_EQ(bytes.content_hash, load("2.glb", uint16_t{0}, 5123).content_hash);
+  EXPECT_EQ(bytes.content_hash, load("4.glb", uint32_t{0}, 5125).content_hash);
+}
+
+TEST(Import, NodesOfOneMeshBecomeInstancesUnderTheirParentsTransforms) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  const float half = std::sqrt(0.5f);
+  file.json["nodes"] = {{{"children", {1, 2}}, {"translation", {10, 0, 0}}},
+                        {{"mesh", 0}, {"rotation", {0, 0, half, half}}, {"scale", {2, 2, 2}}},  // 90 degrees about z
+                        {{"mesh", 0}, {"matrix", {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 5, 0, 1}}}};
+  const Scene scene = importGood(file.save(folder, "n.glb"));
+  ASSERT_EQ(scene.triangles.size(), 2u);
+  expectNear(corner(scene, 0, 1), {10, 2, 0}, 1e-5f);  // (1,0,0) -> scaled, turned, moved
+  expectNear(corner(scene, 0, 2), {8, 0, 0}, 1e-5f);
+  expectNear(corner(scene, 1, 2), {10, 6, 0});
+}
+
+TEST(Import, AMirroredNodeKeepsItsFrontOutside) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  file.json["nodes"][0]["scale"] = {-1, 1, 1};
+  const Scene scene = importGood(file.save(folder, "m.glb"));
+  expectNear(areaVector(scene, 0), {0, 0, 1});
+  EXPECT_LT(std::min(corner(scene, 0, 1).x, corner(scene, 0, 2).x), -0.9f);
+}
+
+TEST(Import, GpuInstancingMultipliesAMeshBeforeItsNode) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  file.json["nodes"][0]["translation"] = {0, 0, 7};
+  file.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"] = {
+      {"TRANSLATION", file.floats({0, 0, 0, 3, 0, 0}, "VEC3")},
+      {"ROTATION", file.accessor(std::vector<int8_t>{0, 0, 0, 127, 0, 0, 127, 0}, 5120, "VEC4",
+                                 true)},  // none, 180 degrees about z
+      {"SCALE", file.floats({1, 1, 1, 2, 2, 2}, "VEC3")}};
+  file.json["extensionsRequired"] = {"EXT_mesh_gpu_instancing"};
+  const Scene scene = importGood(file.save(folder, "i.glb"));
+  ASSERT_EQ(scene.triangles.size(), 2u);
+  expectNear(corner(scene, 0, 1), {1, 0, 7});
+  expectNear(corner(scene, 1, 1), {1, 0, 7}, 1e-5f);  // 3 - 2
+  expectNear(corner(scene, 1, 2), {3, -2, 7}, 1e-5f);
+}
+
+TEST(Import, SparseAccessorsReplaceElementsOfABaseAndOfZeros) {
+  const TempFolder folder;
+  GltfFile with_base, without;
+  const auto sparse = [](GltfFile& f, int accessor) {
+    f.json["accessors"][static_cast<size_t>(accessor)]["sparse"] = {
+        {"count", 2},
+        {"indices", {{"bufferView", f.view(std::vector<uint16_t>{1, 2})}, {"componentType", 5123}}},
+        {"values", {{"bufferView", f.view(std::vector<float>{3, 0, 0, 0, 3, 0})}}}};
+    f.primitive()["attributes"]["POSITION"] = accessor;
+  };
+  sparse(with_base, with_base.floats({0, 0, 0, 1, 0, 0, 0, 1, 0}, "VEC3"));
+  without.json["accessors"].push_back({{"componentType", 5126}, {"type", "VEC3"}, {"count", 3}});
+  sparse(without, 0);
+  for (GltfFile* file : {&with_base, &without})
+    expectNear(areaVector(importGood(file->save(folder, "s.glb")), 0), {0, 0, 9});
+}
+
+TEST(Import, QuantisedPositionsAreNormalisedAsTheSpecificationSays) {
+  const TempFolder folder;
+  GltfFile file;
+  // 4-byte stride for three bytes of position.
+  file.primitive()["attributes"]["POSITION"] =
+      file.accessor(std::vector<int8_t>{0, 0, 0, 0, 127, 0, 0, 0, -128, 127, 0, 0}, 5120, "VEC3", true);
+  file.json["accessors"][0]["count"] = 3;
+  file.json["bufferViews"][0]["byteStride"] = 4;
+  file.json["extensionsUsed"] = file.json["extensionsRequired"] = {"KHR_mesh_quantization"};
+  const Scene scene = importGood(file.save(folder, "q.glb"));
+  expectNear(corner(scene, 0, 1), {1, 0, 0});
+  expectNear(corner(scene, 0, 2), {-1, 1, 0});  // -128 / 127 is clamped
+  file.json.erase("extensionsUsed");
+  file.json.erase("extensionsRequired");
+  EXPECT_NE(importBad(file.save(folder, "q2.glb")).find("POSITION: accessor 0"), std::string::npos);
+}
+
+TEST(Import, TrianglesWithoutAreaAreDroppedAndCounted) {
+  const TempFolder folder;
+  GltfFile file;
+  file.primitive()["attributes"]["POSITION"] =
+      file.floats({0, 0, 0,    1, 0, 0,    0, 1, 0, /* a point */ 1, 1, 1, 1, 1, 1, 1, 1, 1, /* a line */ 0.1f,
+                   0, 0, 0.2f, 0, 0, 0.3f, 0, 0},
+                  "VEC3");
+  const Scene scene = importGood(file.save(folder, "d.glb"));
+  EXPECT_EQ(scene.triangles.size(), 1u);
+  EXPECT_TRUE(warns(scene, "2 triangles without area"));
+}
+
+TEST(Import, WithoutScenesEveryRootIsLoaded) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  file.json.erase("scene");
+  file.json.erase("scenes");
+  file.json["nodes"] = {{{"mesh", 0}}, {{"children", {2}}}, {{"mesh", 0}, {"translation", {0, 0, 1}}}};
+  EXPECT_EQ(importGood(file.save(folder, "r.glb")).triangles.size(), 2u);
+}
+
+TEST(Import, AChainOfFiftyThousandNodesLoads) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  constexpr size_t kNodes = 50000;
+  for (size_t i = 0; i + 1 < kNodes; ++i) file.json["nodes"][i] = {{"children", {i + 1}}};
+  file.json["nodes"][kNodes - 1] = {{"mesh", 0}};
+  EXPECT_EQ(importGood(file.save(folder, "c.glb")).triangles.size(), 1u);
+}
+
+TEST(Import, PointsAndLinesAreLeftOutWithAWarning) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle().primitive()["mode"] = 0;
+  const Scene scene = importGood(file.save(folder, "p.glb"));
+  EXPECT_TRUE(scene.triangles.empty());
+  EXPECT_TRUE(warns(scene, "points or lines"));
+  EXPECT_TRUE(warns(scene, "no triangles"));
+}
+
+// A Draco grid of n x n cells in the unit square, unquantised, with texture coordinates equal to x, y.
+struct DracoGrid {
+  std::string bytes;
+  size_t vertices = 0, triangles = 0;
+  int position_id = 0, uv_id = 0;
+};
+
+DracoGrid encodeGrid(int n, int method) {
+  draco::TriangleSoupMeshBuilder builder;
+  builder.Start(2 * n * n);
+  const int position = builder.AddAttribute(draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32);
+  const int uv = builder.AddAttribute(draco::GeometryAttribute::TEX_COORD, 2, draco::DT_FLOAT32);
+  const auto step = 1.0f / static_cast<float>(n);
+  for (int i = 0; i < 2 * n * n; ++i) {
+    const float x = static_cast<float>(i / 2 % n) * step, y = static_cast<float>(i / 2 / n) * step;
+    const std::array<std::array<float, 3>, 4> c = {
+        {{x, y, 0}, {x + step, y, 0}, {x + step, y + step, 0}, {x, y + step, 0}}};
+    const std::array<size_t, 3> pick = i % 2 ? std::array<size_t, 3>{0, 2, 3} : std::array<size_t, 3>{0, 1, 2};
+    const auto face = draco::FaceIndex(static_cast<uint32_t>(i));
+    builder.SetAttributeValuesForFace(position, face, c[pick[0]].data(), c[pick[1]].data(), c[pick[2]].data());
+    builder.SetAttributeValuesForFace(uv, face, c[pick[0]].data(), c[pick[1]].data(), c[pick[2]].data());
+  }
+  const auto mesh = builder.Finalize();
+  draco::Encoder encoder;
+  encoder.SetEncodingMethod(method);
+  draco::EncoderBuffer buffer;
+  EXPECT_TRUE(encoder.EncodeMeshToBuffer(*mesh, &buffer).ok());
+  DracoGrid out;
+  out.bytes.assign(buffer.data(), buffer.size());
+  out.vertices = mesh->num_points();
+  out.triangles = mesh->num_faces();
+  out.position_id = static_cast<int>(mesh->attribute(position)->unique_id());
+  out.uv_id = static_cast<int>(mesh->attribute(uv)->unique_id());
+  return out;
+}
+
+GltfFile dracoFile(const DracoGrid& grid) {
+  GltfFile file;
+  file.json["accessors"] = {{{"componentType", 5126}, {"type", "VEC3"}, {"count", grid.vertices}},
+                            {{"componentType", 5125}, {"type", "SCALAR"}, {"count", grid.triangles * 3}},
+                            {{"componentType", 5126}, {"type", "VEC2"}, {"count", grid.vertices}}};
+  file.primitive()["attributes"] = {{"POSITION", 0}, {"TEXCOORD_0", 2}};
+  file.primitive()["indices"] = 1;
+  file.primitive()["extensions"]["KHR_draco_mesh_compression"] = {
+      {"bufferView", file.view(std::vector<char>(grid.bytes.begin(), grid.bytes.end()))},
+      {"attributes", {{"POSITION", grid.position_id}, {"TEXCOORD_0", grid.uv_id}}}};
+  file.json["extensionsRequired"] = {"KHR_draco_mesh_compression"};
+  return file;
+}
+
+TEST(Import, DecodesDracoMeshesOfBothMethods) {
+  const TempFolder folder;
+  for (const int method : {draco::MESH_EDGEBREAKER_ENCODING, draco::MESH_SEQUENTIAL_ENCODING}) {
+    GltfFile file = dracoFile(encodeGrid(5, method));
+    const Scene scene = importGood(file.save(folder, "d.glb"));
+    ASSERT_EQ(scene.triangles.size(), 50u);
+    Vec3 sum;
+    for (size_t t = 0; t < 50; ++t) sum += areaVector(scene, t);
+    expectNear(sum, {0, 0, 2}, 1e-5f);
+  }
+}
+
+TEST(Import, RefusesDracoDataCutAtEveryLength) {
+  const TempFolder folder;
+  const DracoGrid whole = encodeGrid(4, draco::MESH_EDGEBREAKER_ENCODING);
+  for (size_t n = 0; n < whole.bytes.size(); ++n) {
+    DracoGrid cut = whole;
+    cut.bytes.resize(n);
+    if (n == 0) cut.bytes = " ";  // a bufferView of no bytes is a fault of its own
+    EXPECT_NE(importBad(dracoFile(cut).save(folder, "c.glb")).find("mesh 0 primitive 0"), std::string::npos);
+  }
+}
+
+TEST(Import, NamesWhatDoesNotFitTheDracoData) {
+  const TempFolder folder;
+  const DracoGrid grid = encodeGrid(4, draco::MESH_EDGEBREAKER_ENCODING);
+  const auto refusal = [&](const char* pointer, int value) {
+    GltfFile file = dracoFile(grid);
+    file.json[nlohmann::json::json_pointer(pointer)] = value;
+    return importBad(file.save(folder, "d.glb"));
+  };
+  const std::string draco = "/meshes/0/primitives/0/extensions/KHR_draco_mesh_compression/";
+  EXPECT_NE(refusal((draco + "attributes/POSITION").c_str(), 77).find("no attribute with id 77"), std::string::npos);
+  EXPECT_NE(refusal((draco + "bufferView").c_str(), 9).find("bufferView 9"), std::string::npos);
+  EXPECT_NE(refusal("/accessors/1/count", 3000000).find("3000000"), std::string::npos);
+  EXPECT_NE(refusal("/accessors/1/count", 99).find("99"), std::string::npos);
+}
+
+#ifdef FF_HAVE_MESHOPTIMIZER
+std::vector<uint8_t> encodeVertices(const std::vector<uint8_t>& vertices, size_t stride) {
+  std::vector<uint8_t> out(meshopt_encodeVertexBufferBound(vertices.size() / stride, stride));
+  out.resize(meshopt_encodeVertexBuffer(out.data(), out.size(), vertices.data(), vertices.size() / stride, stride));
+  return out;
+}
+
+TEST(ImportMeshopt, AttributeStreamsDecodeToWhatTheLibraryEncoded) {
+  std::mt19937 random(7);
+  for (const size_t stride : {4, 8, 12, 64, 256})
+    for (const size_t count : {1, 15, 16, 17, 256, 257, 1000})
+      for (const int range : {1, 4, 20, 256}) {  // of the steps between elements: every width of code
+        std::vector<uint8_t> vertices(stride * count);
+        for (size_t i = 0; i < vertices.size(); ++i)
+          vertices[i] = static_cast<uint8_t>((i < stride ? 0 : vertices[i - stride]) +
+                                             static_cast<int>(random() % static_cast<unsigned>(range)));
+        const auto stream = encodeVertices(vertices, stride);
+        std::vector<uint8_t> decoded(vertices.size());
+        ASSERT_TRUE(gltf::decodeMeshoptVertices(stream, stride, decoded)) << stride << ' ' << count << ' ' << range;
+        EXPECT_EQ(decoded, vertices);
+        for (size_t n = 0; n < stream.size() && stream.size() < 2000; ++n)
+          EXPECT_FALSE(gltf::decodeMeshoptVertices(std::span(stream).first(n), stride, decoded)) << "cut at " << n;
+      }
+}
+
+TEST(ImportMeshopt, ReadsACompressedMeshWithoutItsFallbackBuffer) {
+  const TempFolder folder;
+  GltfFile file;
+  const std::vector<float> corners = {0, 0, 0, 1, 0, 0, 0, 1, 0};
+  std::vector<uint8_t> raw(sizeof(float) * corners.size());
+  std::memcpy(raw.data(), corners.data(), raw.size());
+  const std::vector<uint32_t> indices = {0, 1, 2};
+  std::vector<uint8_t> triangles(meshopt_encodeIndexBufferBound(3, 3));
+  meshopt_encodeIndexVersion(1);
+  triangles.resize(meshopt_encodeIndexBuffer(triangles.data(), triangles.size(), indices.data(), 3));
+  const std::vector<uint8_t> vertices = encodeVertices(raw, 12);
+  const int first = file.view(vertices), second = file.view(triangles);
+  const auto compressed = [&](int view, const std::vector<uint8_t>& stream, const char* mode, int stride, int bytes) {
+    auto& json = file.json["bufferViews"][static_cast<size_t>(view)];
+    json["extensions"]["EXT_meshopt_compression"] = {{"buffer", 0},
+                                                     {"byteOffset", json["byteOffset"]},
+                                                     {"byteLength", stream.size()},
+                                                     {"byteStride", stride},
+                                                     {"count", 3},
+                                                     {"mode", mode}};
+    json["buffer"] = 1;
+    json["byteOffset"] = 0;
+    json["byteLength"] = bytes;
+  };
+  compressed(first, vertices, "ATTRIBUTES", 12, 36);
+  compressed(second, triangles, "TRIANGLES", 2, 6);
+  file.json["accessors"] = {{{"bufferView", first}, {"componentType", 5126}, {"type", "VEC3"}, {"count", 3}},
+                            {{"bufferView", second}, {"componentType", 5123}, {"type", "SCALAR"}, {"count", 3}}};
+  file.primitive()["attributes"]["POSITION"] = 0;
+  file.primitive()["indices"] = 1;
+  while (file.bytes.size() % 4) file.bytes += '\0';
+  file.json["buffers"] = {{{"byteLength", file.bytes.size()}},
+                          {{"byteLength", 36}, {"extensions", {{"EXT_meshopt_compression", {{"fallback", true}}}}}}};
+  const Scene scene = importGood(file.save(folder, "m.glb"));
+  ASSERT_EQ(scene.triangles.size(), 1u);
+  expectNear(areaVector(scene, 0), {0, 0, 1});
+}
+#endif
+
+}  // namespace
+}  // namespace ff::bake
