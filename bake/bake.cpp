@@ -194,7 +194,6 @@ Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, co
   BakeStats stats;
   stats.cell_m = set->cell_m;
   stats.triangles = scene.triangles.size();
-  stats.area_m2 = set->area_m2;
   stats.rays = uint64_t{settings.rays} * n;
   const auto cast_began = Clock::now();
   HitRows hits;
@@ -203,15 +202,20 @@ Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, co
     hits = castRows(scene, *set, *caster, settings.rays, settings.seed, report.done);
   }
   stats.ray_seconds = since(cast_began);
-  std::vector<float> sky(n);
+  std::vector<float> sky(n), whole_area(n);
   for (size_t i = 0; i < n; ++i) {
     const double rays = settings.rays, a = static_cast<double>(set->patches[i].area_m2);
-    sky[i] = static_cast<float>(hits.sky[i] / rays);
+    sky[i] = static_cast<float>(hits.sky[i] / rays) / exposedFraction(hits, i);
     stats.sky_fraction += a * hits.sky[i] / rays;
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
+    stats.buried_fraction += a * hits.buried[i] / rays;
+    whole_area[i] = set->patches[i].area_m2;
+    set->patches[i].area_m2 *= exposedFraction(hits, i);
   }
-  stats.sky_fraction /= set->area_m2;
-  stats.absorbed_fraction /= set->area_m2;
+  stats.buried_fraction /= set->area_m2;
+  stats.area_m2 = set->area_m2 * (1 - stats.buried_fraction);
+  stats.sky_fraction /= stats.area_m2;
+  stats.absorbed_fraction /= stats.area_m2;
 
   // Pooling and the pyramid.
   const Hierarchy hierarchy = makeHierarchy(set->patches, sky);
@@ -221,7 +225,7 @@ Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, co
   {
     ProgressReport report(progress, "pyramid", hierarchy.levels());
     std::vector<float> areas(n);
-    for (size_t i = 0; i < n; ++i) areas[i] = values[0][i].node.area_m2;
+    for (size_t i = 0; i < n; ++i) areas[hierarchy.number[i]] = whole_area[i];
     HitRows ordered = renumber(hits, hierarchy.number);
     hits = {};
     exchange.push_back(std::make_unique<PooledPatches>(std::move(ordered), std::move(areas)));
@@ -307,7 +311,7 @@ Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, co
   info.generator = "ffbake " FF_VERSION;
   info.scene = scene.name;
   info.row_total_deviation = static_cast<float>(deviation);
-  info.area_m2 = set->area_m2;
+  info.area_m2 = stats.area_m2;
   info.triangles = scene.triangles.size();
   info.absorbed_fraction = stats.absorbed_fraction;
   if (auto ok = writer->finish(info, hierarchy.parents, cells, buildSpatialIndex(cell_tiles, set->cell_m)); !ok)

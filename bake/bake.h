@@ -32,7 +32,9 @@ struct LevelStats {
 struct BakeStats {
   float cell_m = 0;
   uint64_t triangles = 0, rays = 0;
-  double area_m2 = 0, sky_fraction = 0, absorbed_fraction = 0;  // area-weighted
+  double area_m2 = 0;            // exposed: not inside another solid
+  double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
+  double buried_fraction = 0;    // of the whole area
   std::vector<LevelStats> levels;
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import

@@ -19,8 +19,7 @@ struct Frame {
 };
 
 // Tom Duff et al. Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
-Frame frameOf(const PatchTriangle& t) {
-  const Vec3 n = normalized(cross(t.b - t.a, t.c - t.a));
+Frame frameOf(Vec3 n) {
   const float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
   return {n, {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x}, {c, sign + n.y * n.y * a, -n.y}};
 }
@@ -34,7 +33,18 @@ struct Scratch {
   std::vector<uint16_t> count;     // per patch, zero between rows
   std::vector<uint32_t> touched;
   std::vector<Ray> rays;
+  std::vector<Vec3> normals;
 };
+
+bool isBuried(const RayCaster& caster, Vec3 origin, Vec3 normal) {
+  const Frame frame = frameOf(normal);
+  for (int k = 0; k < 4; ++k) {
+    const Vec3 side = (k & 1 ? frame.tangent : frame.bitangent) * (k & 2 ? 1.0f : -1.0f);
+    const Hit hit = caster.nearest({origin, normalized(frame.normal + side)});
+    if (hit.triangle == kNone || hit.front) return false;
+  }
+  return true;
+}
 
 struct Chunk {
   std::vector<uint32_t> column;
@@ -44,14 +54,14 @@ struct Chunk {
 }  // namespace
 
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-               float surface_offset, std::span<Ray> rays) {
+               float surface_offset, std::span<Ray> rays, std::span<Vec3> normals) {
   const Patch& p = set.patches[patch];
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
   const auto seeds = SobolTable::seeds(seed, patch);
   std::vector<Frame> frames;
   frames.reserve(triangles.size());
-  for (const PatchTriangle& t : triangles) frames.push_back(frameOf(t));
+  for (const PatchTriangle& t : triangles) frames.push_back(frameOf(normalized(cross(t.b - t.a, t.c - t.a))));
   for (uint32_t i = 0; i < rays.size(); ++i) {
     const auto u = sobol.point(i, seeds);
     float pick = u[0], v = u[1];
@@ -76,6 +86,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
     rays[i].origin = origin + frame.normal * surface_offset;
     rays[i].direction = frame.tangent * (r * std::cos(phi)) + frame.bitangent * (r * std::sin(phi)) +
                         frame.normal * std::sqrt(1 - u[2]);
+    if (!normals.empty()) normals[i] = frame.normal;
   }
 }
 
@@ -88,15 +99,20 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.start.assign(n + 1, 0);
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
+  rows.buried.assign(n, 0);
   rows.sky_direction.assign(n, {});
   std::vector<Chunk> parts(chunks);
-  tbb::enumerable_thread_specific<Scratch> scratch([&] { return Scratch{std::vector<uint16_t>(n), {}, std::vector<Ray>(rays)}; });
+  tbb::enumerable_thread_specific<Scratch> scratch([&] {
+    return Scratch{std::vector<uint16_t>(n), {}, std::vector<Ray>(rays), std::vector<Vec3>(rays)};
+  });
   tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
     Scratch& s = scratch.local();
     for (size_t i = c * kChunk; i < std::min(n, (c + 1) * kChunk); ++i) {
-      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), s.rays);
+      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), s.rays,
+                s.normals);
       Vec3 sky_sum;
-      for (const Ray& ray : s.rays) {
+      for (size_t k = 0; k < s.rays.size(); ++k) {
+        const Ray& ray = s.rays[k];
         const Hit hit = caster.nearest(ray);
         if (hit.triangle == kNone) {
           ++rows.sky[i];
@@ -105,7 +121,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
         }
         const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
         if (j == kNone) {
-          ++rows.absorbed[i];
+          ++(isBuried(caster, ray.origin, s.normals[k]) ? rows.buried : rows.absorbed)[i];
         } else if (s.count[j]++ == 0) {
           s.touched.push_back(j);
         }
@@ -143,6 +159,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
   out.start.assign(n + 1, 0);
   out.sky.resize(n);
   out.absorbed.resize(n);
+  out.buried.resize(n);
   out.sky_direction.resize(n);
   for (size_t i = 0; i < n; ++i) out.start[i + 1] = out.start[i] + in.start[old[i] + 1] - in.start[old[i]];
   out.column.resize(in.column.size());
@@ -153,6 +170,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
       const uint32_t p = old[i];
       out.sky[i] = in.sky[p];
       out.absorbed[i] = in.absorbed[p];
+      out.buried[i] = in.buried[p];
       out.sky_direction[i] = in.sky_direction[p];
       row.clear();
       for (uint64_t k = in.start[p]; k < in.start[p + 1]; ++k) row.emplace_back(number[in.column[k]], in.count[k]);

@@ -2,7 +2,11 @@
 //   F_ij = 1/A_i int_Ai int_Aj cos(i) cos(j) / (pi r^2) V dAj dAi  is estimated by  h_ij / rays.
 // Michael F. Cohen, John R. Wallace. Radiosity and Realistic Image Synthesis. 1993, chapter 4.
 // A patch's rays depend on its number and the seed alone.
+//
+// Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
+// all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).
 #pragma once
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <span>
@@ -14,23 +18,29 @@
 
 namespace ff::bake {
 
-// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky and absorbed to `rays`.
+// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
 struct HitRows {
   uint32_t rays = 0;               // per patch
   std::vector<uint64_t> start;     // patches + 1
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
-  std::vector<uint32_t> sky, absorbed;   // per patch; absorbed: back faces
+  std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
   std::vector<Vec3> sky_direction;       // per patch: mean over its sky rays
 };
 
-// `rays` origins stratified over the patch and directions stratified over the cosine-weighted hemisphere.
+// Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere. normals: of the surface
+// at each origin, or empty.
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-               float surface_offset, std::span<Ray> rays);
+               float surface_offset, std::span<Ray> rays, std::span<Vec3> normals = {});
 
 // Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535.
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
                  std::atomic<uint64_t>& done);
+
+// Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
+inline float exposedFraction(const HitRows& rows, size_t patch) {
+  return std::max(1e-6f, 1 - static_cast<float>(rows.buried[patch]) / static_cast<float>(rows.rays));
+}
 
 // The same rows with patch p renumbered to number[p].
 HitRows renumber(const HitRows& rows, std::span<const uint32_t> number);

@@ -7,6 +7,8 @@ namespace ff::bake {
 PooledPatches::PooledPatches(HitRows rows, std::vector<float> areas_m2)
     : rows_(std::move(rows)), areas_(std::move(areas_m2)) {
   const size_t n = areas_.size();
+  exposed_.resize(n);
+  for (size_t i = 0; i < n; ++i) exposed_[i] = exposedFraction(rows_, i);
   column_start_.assign(n + 1, 0);
   for (uint32_t j : rows_.column) ++column_start_[j + 1];
   for (size_t j = 0; j < n; ++j) column_start_[j + 1] += column_start_[j];

@@ -1,6 +1,7 @@
 // Reciprocity pooling: A_i F_ij = A_j F_ji, so rays from both ends estimate one exchange area
 //   X_ij = (h_ij + h_ji) / (rays/A_i + rays/A_j),
-// all hits over the pooled density of rays. Sky and absorption are seen from one end only.
+// all hits over the pooled density of rays. Sky and absorption are seen from one end only. A_i is the whole area that rays
+// start from; area() of the level is the exposed part.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -33,12 +34,12 @@ class PooledPatches final : public ExchangeLevel {
  public:
   PooledPatches(HitRows rows, std::vector<float> areas_m2);
   uint32_t nodes() const override { return static_cast<uint32_t>(areas_.size()); }
-  float area(uint32_t node) const override { return areas_[node]; }
+  float area(uint32_t node) const override { return areas_[node] * exposed_[node]; }
   void row(uint32_t node, ExchangeRow& out) const override;
 
  private:
   HitRows rows_;
-  std::vector<float> areas_;
+  std::vector<float> areas_, exposed_;  // whole; the exposed fraction of it
   std::vector<uint64_t> column_start_;  // the transpose: hits on node j, sources ascending
   std::vector<uint32_t> source_;
   std::vector<uint16_t> count_;

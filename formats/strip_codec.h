@@ -31,11 +31,19 @@ struct StripLayout {
   uint64_t skyDirection() const { return uint64_t{38} * nodes; }
   uint64_t blockSteps() const { return uint64_t{kNodeBytes} * nodes; }
   uint64_t blockEntries() const { return blockSteps() + uint64_t{4} * blocks; }
-  uint64_t rowSteps() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
-  uint64_t columns() const { return rowSteps() + entries; }
-  uint64_t counts() const { return columns() + entries; }
-  uint64_t largeCounts() const { return counts() + entries; }  // u16 each, one for each zero in counts
+  // One mark per entry; then one column byte per entry, those of the runs' first entries before all others; then the
+  // escapes. A run is the entries of one row in one block.
+  uint64_t marks() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
+  uint64_t columns() const { return marks() + entries; }
+  uint64_t escapes() const { return columns() + entries; }
 };
+
+// A mark: row step << 3 | count. A row step above 0 begins a run; a block's first row counts from -1. Counts above 7 are
+// 0 in the mark and row steps above 30 are 31; the rest of both follows among the escapes, step first.
+inline constexpr uint32_t kMarkCountBits = 3;
+inline constexpr uint32_t kMarkCountMask = 7;
+inline constexpr uint32_t kMarkLargeStep = 31;
+inline constexpr uint32_t kMaxEscapeBytes = 4;  // of one entry: a byte for the step, a varint of up to 3 for the count
 
 // A cut of the unit sphere into 65535^2 directions: the octahedral map (Meyer et al. On Floating-Point Normal Vectors.
 // 2010) with both coordinates as signed 16-bit fixed point. The zero vector is kZeroNormal in both.

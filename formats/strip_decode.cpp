@@ -55,9 +55,8 @@ Result<void> checkHeader(const TileInfo& info, uint64_t checksum, std::span<cons
       !(h.bounds.hi == info.bounds.hi))
     return broken(info, "header and index disagree");
   const StripLayout layout{h.nodes, h.blocks, h.entries};
-  const uint64_t extra = h.raw_bytes - std::min<uint64_t>(h.raw_bytes, layout.largeCounts());
   if (h.nodes < 1 || h.nodes > kTileNodes || h.blocks > h.entries || h.raw_bytes > kMaxStripRawBytes ||
-      h.raw_bytes < layout.largeCounts() || extra % 2 != 0 || extra / 2 > h.entries)
+      h.raw_bytes < layout.escapes() || h.raw_bytes - layout.escapes() > uint64_t{kMaxEscapeBytes} * h.entries)
     return broken(info, "sizes in the header contradict each other");
   return {};
 }
@@ -132,53 +131,78 @@ Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const Stri
   return {};
 }
 
+// Takes what a mark could not hold. `at` moves past it; false if the bytes end or the value had room in the mark.
+bool takeEscape(const uint8_t*& at, const uint8_t* end, uint32_t& step, uint32_t& count) {
+  if (step == kMarkLargeStep) {
+    if (at == end) return false;
+    step += *at++;
+  }
+  if (count != 0) return true;
+  for (uint32_t shift = 0; shift < 21; shift += 7) {
+    if (at == end) return false;
+    const uint32_t byte = *at++;
+    count |= (byte & 0x7f) << shift;
+    if (byte < 0x80) {
+      count += kMarkCountMask + 1;
+      return (byte != 0 || shift == 0) && count <= kMaxQuanta;
+    }
+  }
+  return false;
+}
+
+uint32_t countRuns(const uint8_t* marks, size_t entries) {
+  uint32_t runs = 0;
+  for (size_t e = 0; e < entries; ++e) runs += marks[e] > kMarkCountMask ? 1 : 0;
+  return runs;
+}
+
 // Rows, columns and counts. The loop gathers faults and reports after a block, so that it stays short.
 Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout,
                            std::span<const TileInfo> partners, Strip& out) {
   const auto* raw = reinterpret_cast<const uint8_t*>(bytes.data());
-  const uint8_t* steps = raw + layout.rowSteps();
-  const uint8_t* columns = raw + layout.columns();
-  const uint8_t* counts = raw + layout.counts();
-  const std::byte* large = bytes.data() + layout.largeCounts();
-  const std::byte* const large_end = bytes.data() + bytes.size();
+  const uint8_t* marks = raw + layout.marks();
+  const uint8_t* first_columns = raw + layout.columns();
+  const uint8_t* column_steps = first_columns + countRuns(marks, layout.entries);
+  const uint8_t* escapes = raw + layout.escapes();
+  const uint8_t* const escapes_end = raw + bytes.size();
   out.rows.resize(layout.entries);
   out.columns.resize(layout.entries);
   out.counts.resize(layout.entries);
-  std::copy_n(columns, layout.entries, out.columns.data());
-  std::array<uint32_t, kTileNodes> sums{};
+  std::array<uint64_t, kTileNodes> sums{};
   size_t e = 0;
   for (const Block& block : out.blocks) {
     const auto bad = [&](const char* what) {
       return broken(info, "block of partner tile " + std::to_string(block.partner_tile) + ": " + what);
     };
-    uint32_t row = 0, largest_column = 0, unordered = 0;
-    int last_column = -1;
-    const size_t end = e + block.entries;
-    for (; e < end; ++e) {
-      const uint32_t step = steps[e], column = columns[e];
-      row += step;
-      unordered |= static_cast<uint32_t>(step == 0) & static_cast<uint32_t>(static_cast<int>(column) <= last_column);
-      last_column = static_cast<int>(column);
-      largest_column = std::max(largest_column, column);
-      uint32_t count = counts[e];
-      if (count == 0) [[unlikely]] {
-        if (large_end - large < 2) return bad("a large count is missing");
-        count = loadLittle<uint16_t>(large);
-        large += 2;
-        if (count < 256) return bad("a small count is stored as a large one");
+    // row is one more than the row's number, so that a block's first mark always begins a run.
+    uint32_t row = 0, column = 0, first_column = 0, largest_column = 0, unordered = 0;
+    if (marks[e] <= kMarkCountMask) return bad("does not begin with a row");
+    for (const size_t end = e + block.entries; e < end; ++e) {
+      uint32_t step = marks[e] >> kMarkCountBits, count = marks[e] & kMarkCountMask;
+      if (step == kMarkLargeStep || count == 0) [[unlikely]]
+        if (!takeEscape(escapes, escapes_end, step, count)) return bad("an escape is malformed");
+      if (step != 0) {
+        row += step;
+        first_column = (first_column + *first_columns++) & 0xff;
+        column = first_column;
+      } else {
+        unordered |= static_cast<uint32_t>(*column_steps == 0);
+        column += *column_steps++;
       }
-      out.rows[e] = static_cast<uint8_t>(row);
+      largest_column = std::max(largest_column, column);
+      out.rows[e] = static_cast<uint8_t>(row - 1);
+      out.columns[e] = static_cast<uint8_t>(column);
       out.counts[e] = static_cast<uint16_t>(count);
-      sums[row & (kTileNodes - 1)] += count;
+      sums[(row - 1) & (kTileNodes - 1)] += count;
     }
-    if (row >= layout.nodes) return bad("a row is outside the tile");
+    if (row > layout.nodes) return bad("a row is outside the tile");
     if (unordered != 0) return bad("entries are not in order of row and column");
     if (largest_column >= partners[block.partner_tile].nodes) return bad("a column is outside the partner tile");
   }
-  if (large != large_end) return broken(info, "large counts are left over");
+  if (escapes != escapes_end) return broken(info, "escapes are left over");
   for (size_t i = 0; i < layout.nodes; ++i) {
     const Node& node = out.nodes[i];
-    if (uint64_t{sums[i]} + node.sky + node.absorbed != node.quanta)
+    if (sums[i] + node.sky + node.absorbed != node.quanta)
       return broken(info, "row " + std::to_string(i) + ": entries " + std::to_string(sums[i]) + " + sky " +
                               std::to_string(node.sky) + " + absorbed " + std::to_string(node.absorbed) +
                               " are not the row's " + std::to_string(node.quanta) + " quanta");

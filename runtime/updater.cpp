@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <utility>
 
 namespace ff::runtime {
 namespace {
@@ -38,10 +39,6 @@ std::vector<Vec4> carryOver(const formats::World& world, const LocalMatrix& old,
   return carried;
 }
 
-bool sameTiles(std::span<const stream::StripPtr> active, const LocalMatrix& matrix) {
-  return std::ranges::equal(active, matrix.tiles, {}, [](const stream::StripPtr& s) { return s->id; }, &SlotRange::id);
-}
-
 }  // namespace
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver)
@@ -61,8 +58,10 @@ void Updater::lightChanged() { light_changed_ = true; }
 
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
-  // Compared with the matrix, not only with the last update(): settle() may have changed the set in between.
-  const bool cut_changed = streamer_.update(observer, velocity) || !matrix_ || !sameTiles(streamer_.active(), *matrix_);
+  streamer_.update(observer, velocity);
+  // Compared here, not taken from update(): someone may have called settle() in between.
+  const auto active = streamer_.active();
+  const bool cut_changed = !matrix_ || !std::equal(active.begin(), active.end(), strips_.begin(), strips_.end());
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
   if (cut_changed)
@@ -82,6 +81,7 @@ Result<void> Updater::changeMatrix() {
   const auto active = streamer_.active();
   auto built = buildLocalMatrix(world_, active);
   if (!built) return built.error();
+  strips_.assign(active.begin(), active.end());
   const auto old = std::exchange(matrix_, std::make_shared<const LocalMatrix>(std::move(*built)));
   std::vector<Vec4> start;
   if (old) {
@@ -98,7 +98,7 @@ Result<void> Updater::changeMatrix() {
     const uint32_t old_slot = old ? old->slotOf(range.id.level, range.first_node) : kNoSlot;
     if (old_slot != kNoSlot)
       std::copy_n(old_irradiance.begin() + old_slot, range.nodes, direct_irradiance_.begin() + range.first_slot);
-    light(range, *active[t], old_slot == kNoSlot);
+    light(range, *strips_[t], old_slot == kNoSlot);
   }
   counts_ = {};
   counts_.slots = matrix_->slots();
@@ -128,8 +128,7 @@ void Updater::light(const SlotRange& range, const formats::Strip& strip, bool as
 }
 
 Result<void> Updater::relightAll() {
-  const auto active = streamer_.active();
-  for (size_t t = 0; t < matrix_->tiles.size(); ++t) light(matrix_->tiles[t], *active[t], light_changed_);
+  for (size_t t = 0; t < matrix_->tiles.size(); ++t) light(matrix_->tiles[t], *strips_[t], light_changed_);
   sky_changed_ = light_changed_ = false;
   return solver_.setSource(source_);
 }

@@ -56,6 +56,7 @@ class Updater {
   Solver& solver_;
   Sky sky_;
   DirectLight direct_light_;
+  std::vector<stream::StripPtr> strips_;  // that matrix_ was built from
   std::shared_ptr<const LocalMatrix> matrix_;
   std::vector<Vec4> source_, direct_;      // per slot
   std::vector<Vec3> direct_irradiance_;    // per slot, W/m2

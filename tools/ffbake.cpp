@@ -71,8 +71,8 @@ void printSummary(const ff::bake::BakeStats& s, const std::string& out) {
     fmt::print("  {:>5} {:>9} {:>6} {:>12.1f} {:>11.1f}\n", l, v.nodes, v.tiles,
                static_cast<double>(v.entries) / v.nodes, static_cast<double>(v.stored_bytes) / v.nodes);
   }
-  fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths\n", s.sky_fraction * 100,
-             s.absorbed_fraction * 100);
+  fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
+             s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
   if (s.clamped_nodes > 0)
     fmt::print("  albedo lowered on {} nodes that would have reflected all they see back to what they see\n", s.clamped_nodes);
   fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake\n", s.seconds,
@@ -86,6 +86,7 @@ nlohmann::json toJson(const ff::bake::BakeStats& s) {
   return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
           {"area_m2", s.area_m2},     {"rays", s.rays},
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
+          {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"levels", levels}};

@@ -316,8 +316,9 @@ Result<Town> makeTown(const TownOptions& options) {
                  "ask for " + std::to_string(kMinTownPatches) + " to " + std::to_string(kMaxTownPatches)};
   const bool cottages = options.patches < 9'000;
   const auto faces = [&](Extent e) { return TownMaker(options.seed, e, cottages).make().faces; };
-  // Lots one by one as a growing near-square, as many as fit with a little countryside; more countryside fills the rest.
-  const auto lots = [](int k) { return Extent{k / 2 + 1, (k + 1) / 2, 8}; };
+  // Lots as a growing near-square, as many as fit with a belt of countryside; more countryside fills the rest.
+  const int belt = cottages ? 8 : options.patches < 30'000 ? 32 : 72;
+  const auto lots = [belt](int k) { return Extent{k / 2 + 1, (k + 1) / 2, belt}; };
   int fits = 1, too_many = 2;
   while (faces(lots(too_many)) <= options.patches) {
     fits = too_many;
@@ -328,7 +329,7 @@ Result<Town> makeTown(const TownOptions& options) {
     (faces(lots(k)) <= options.patches ? fits : too_many) = k;
   }
   Extent extent = lots(fits);
-  int low = kFewestRows, high = 8;
+  int low = kFewestRows, high = belt;
   const auto withRows = [&](int rows) { return Extent{extent.lots_x, extent.lots_z, rows}; };
   while (faces(withRows(high)) < options.patches) {
     low = high;

@@ -100,6 +100,39 @@ TEST_F(Bake, AFurnaceOfAnyAlbedoReachesItsClosedForm) {
   }
 }
 
+TEST_F(Bake, APatchHalfInsideASolidIsAsBrightAsItsExposedHalf) {
+  // A floor in the open, half of it under a closed block that stands in it: buried origins take no part.
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 1}, {1, 0.5f, 1}, {1, 0.5f, 0}, m);
+  const auto p = [](float x, float y, float z) { return Vec3{0.5f + x, 0.2f + 0.7f * y, -1 + 3 * z}; };
+  addQuad(s, p(0, 1, 0), p(0, 1, 1), p(3, 1, 1), p(3, 1, 0), m);
+  addQuad(s, p(0, 0, 0), p(3, 0, 0), p(3, 0, 1), p(0, 0, 1), m);
+  addQuad(s, p(3, 0, 0), p(3, 1, 0), p(3, 1, 1), p(3, 0, 1), m);
+  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), m);
+  addQuad(s, p(0, 0, 1), p(3, 0, 1), p(3, 1, 1), p(0, 1, 1), m);
+  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(3, 1, 0), p(3, 0, 0), m);
+  const auto stats = bakeWorld(s, {.cell_m = 1, .rays = 4096, .quanta = 4096}, path("buried.ffm"));
+  ASSERT_TRUE(stats);
+  EXPECT_LT(stats->absorbed_fraction, 0.01);  // the block's foot sees the floor's back
+  auto world = formats::World::open(path("buried.ffm"));
+  ASSERT_TRUE(world);
+  double exposed = -1, sky = -1;
+  for (const auto& tile : world->tiles(0)) {
+    auto strip = world->strip(tile.id);
+    ASSERT_TRUE(strip);
+    for (const auto& node : strip->nodes)
+      if (std::abs(node.centroid.y - 0.5f) < 1e-3f && node.normal.y > 0.9f && std::abs(node.centroid.x - 0.5f) < 1e-2f) {
+        exposed = static_cast<double>(node.area_m2);
+        sky = static_cast<double>(node.sky) / node.quanta;
+      }
+  }
+  EXPECT_NEAR(exposed, 0.5, 0.02);  // half the area, within sampling
+  // Sky seen from the exposed half: all but the block's face, a wall 0.4 high and long beside it: between 0.5 and 1.
+  EXPECT_GT(sky, 0.7);
+  EXPECT_LT(sky, 0.95);
+}
+
 TEST_F(Bake, LowersAnAlbedoOfOneInAClosedRoomAndSaysSo) {
   const auto stats = bakeWorld(closedBox({1, 0.5f, 1}, {}), {.cell_m = 0.25f, .rays = 64, .quanta = 64}, path("white.ffm"));
   ASSERT_TRUE(stats);

@@ -1,0 +1,262 @@
+// Strips whose checksum is right but whose content breaks a rule of FORMAT.md, as a hostile or faulty writer makes them.
+#include <gtest/gtest.h>
+#include <zstd.h>
+
+#include <functional>
+#include <random>
+
+#include "formats/bytes.h"
+#include "formats/checksum.h"
+#include "formats/records.h"
+#include "formats/strip_codec.h"
+#include "formats/writer.h"
+#include "tests/formats/random_world.h"
+
+namespace ff::formats {
+namespace {
+
+// A strip taken apart: header, raw payload. seal() makes stored bytes of it, with everything else right.
+struct OpenStrip {
+  TileInfo info;
+  StripHeader header;
+  std::vector<std::byte> raw;
+  std::vector<TileInfo> partners;
+  uint64_t checksum = 0;
+
+  explicit OpenStrip(const EncodedStrip& encoded, std::span<const uint32_t> tile_nodes) : info(encoded.info) {
+    ByteReader r(encoded.bytes);
+    StripHeader::fields(r, header);
+    raw.resize(header.raw_bytes);
+    const size_t n = ZSTD_decompress(raw.data(), raw.size(), encoded.bytes.data() + kStripHeaderBytes,
+                                     encoded.bytes.size() - kStripHeaderBytes);
+    EXPECT_EQ(n, raw.size());
+    info.shard = 3;
+    info.offset = 8192;
+    for (uint32_t nodes : tile_nodes) partners.emplace_back().nodes = nodes;
+  }
+
+  StripLayout layout() const { return {header.nodes, header.blocks, header.entries}; }
+
+  std::vector<std::byte> seal(bool take_header = true) {
+    std::vector<std::byte> payload(ZSTD_compressBound(raw.size()));
+    payload.resize(ZSTD_compress(payload.data(), payload.size(), raw.data(), raw.size(), 1));
+    header.payload_bytes = static_cast<uint32_t>(payload.size());
+    if (take_header) header.raw_bytes = info.raw_bytes = static_cast<uint32_t>(raw.size());
+    std::vector<std::byte> bytes = recordBytes(header);
+    bytes.insert(bytes.end(), payload.begin(), payload.end());
+    info.stored_bytes = static_cast<uint32_t>(bytes.size());
+    checksum = mixStripChecksum(hashStripContent(bytes),
+                                {kKindRows, info.id.level, info.id.tile, info.shard, info.offset});
+    storeLittle(bytes.data() + kStripChecksumOffset, checksum);
+    return bytes;
+  }
+
+  Result<void> decode(std::span<const std::byte> bytes) const {
+    Strip out;
+    return decodeStripBytes(info, checksum, partners, bytes, out);
+  }
+};
+
+// Two nodes, two blocks; row 0 has three entries (one of them large), row 1 one.
+Strip sampleStrip() {
+  Strip s;
+  s.id = {1, 7};
+  s.first_node = 100;
+  s.nodes.resize(2);
+  for (Node& n : s.nodes) {
+    n.area_m2 = 1;
+    n.centroid = {0.5f, 0.5f, 0.5f};
+    n.normal = {0, 1, 0};
+    n.quanta = 1000;
+    n.sky = 100;
+  }
+  s.nodes[1].absorbed = 895;
+  s.blocks = {{0, 3}, {2, 1}};
+  s.rows = {0, 0, 1, 0};
+  s.columns = {3, 9, 4, 0};
+  s.counts = {1, 7, 5, 892};
+  return s;
+}
+
+OpenStrip sample() {
+  auto encoded = encodeStrip(sampleStrip(), Box{{0, 0, 0}, {1, 1, 1}});
+  EXPECT_TRUE(encoded) << encoded.error().line();
+  static const uint32_t kTileSizes[] = {10, 1, 1};
+  return OpenStrip(*encoded, kTileSizes);
+}
+
+void expectRefused(const std::string& message, const std::function<void(OpenStrip&)>& damage) {
+  SCOPED_TRACE(message);
+  OpenStrip strip = sample();
+  damage(strip);
+  const auto read = strip.decode(strip.seal());
+  ASSERT_FALSE(read);
+  EXPECT_EQ(read.error().code, ErrorCode::kInvalidFile);
+  EXPECT_EQ(read.error().place, "strip 1:7 at offset 8192");
+  EXPECT_NE(read.error().message.find(message), std::string::npos) << read.error().line();
+}
+
+void setByte(OpenStrip& s, uint64_t at, int value) { s.raw[at] = static_cast<std::byte>(value); }
+
+TEST(StripRules, TheUntouchedStripPasses) {
+  OpenStrip strip = sample();
+  const auto read = strip.decode(strip.seal());
+  EXPECT_TRUE(read) << read.error().line();
+}
+
+TEST(StripRules, NodesHoldPossibleValues) {
+  const auto f32 = [](OpenStrip& s, uint64_t at, float v) {  // of node 0
+    for (uint64_t k = 0; k < 4; ++k) setByte(s, at + k * s.header.nodes, std::bit_cast<uint32_t>(v) >> (8 * k) & 255);
+  };
+  for (const float area : {0.0f, -1.0f, INFINITY, NAN})
+    expectRefused("area", [&](OpenStrip& s) { f32(s, s.layout().area(), area); });
+  for (const float emission : {-1.0f, INFINITY, NAN})
+    expectRefused("emission", [&](OpenStrip& s) { f32(s, s.layout().emission() + 8, emission); });
+  expectRefused("sky direction", [](OpenStrip& s) {
+    setByte(s, s.layout().skyDirection(), 100);
+    setByte(s, s.layout().skyDirection() + 2, 100);
+  });
+  expectRefused("sky direction", [](OpenStrip& s) { setByte(s, s.layout().skyDirection(), 128); });
+  expectRefused("normal", [](OpenStrip& s) {
+    setByte(s, s.layout().normal(), 0);
+    setByte(s, s.layout().normal() + 2, 0x80);
+  });
+}
+
+TEST(StripRules, RowsCloseExactly) {
+  expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().sky(), 101); });
+  expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().quanta() + 1, 0xe9); });
+  expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1 << 3 | 2); });
+}
+
+TEST(StripRules, BlocksAreInOrderAndComplete) {
+  expectRefused("repeats its partner", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 1, 0); });
+  expectRefused("names tile 3", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 1, 3); });
+  expectRefused("names tile", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 7, 0xff); });
+  expectRefused("add up", [](OpenStrip& s) { setByte(s, s.layout().blockEntries(), 9); });
+  expectRefused("add up", [](OpenStrip& s) { setByte(s, s.layout().blockEntries() + 2, 0xff); });
+}
+
+TEST(StripRules, EntriesAreInOrderAndInRange) {
+  expectRefused("begin with a row", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1); });
+  expectRefused("row is outside", [](OpenStrip& s) { setByte(s, s.layout().marks() + 2, 5 << 3 | 5); });
+  expectRefused("order", [](OpenStrip& s) { setByte(s, s.layout().columns() + 3, 0); });
+  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns() + 3, 200); });
+  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns(), 10); });
+  expectRefused("column is outside", [](OpenStrip& s) { s.partners[0].nodes = 9; });
+}
+
+TEST(StripRules, EscapesAreWellFormed) {
+  expectRefused("escape", [](OpenStrip& s) { s.raw.pop_back(); });
+  expectRefused("left over", [](OpenStrip& s) { s.raw.push_back(std::byte{1}); });
+  expectRefused("escape", [](OpenStrip& s) { s.raw.back() = std::byte{0x80}; });
+  expectRefused("escape", [](OpenStrip& s) {  // 892 with a needless third byte
+    s.raw.back() |= std::byte{0x80};
+    s.raw.push_back(std::byte{0});
+  });
+  expectRefused("escape", [](OpenStrip& s) {  // above 65535
+    s.raw.back() = std::byte{0xff};
+    s.raw.push_back(std::byte{0x7f});
+  });
+  expectRefused("row is outside", [](OpenStrip& s) {  // a step of 31 + 255
+    setByte(s, s.layout().marks() + 2, 31 << 3 | 5);
+    s.raw.insert(s.raw.begin() + static_cast<std::ptrdiff_t>(s.layout().escapes()), std::byte{255});
+  });
+}
+
+TEST(StripRules, SizesAgree) {
+  expectRefused("disagree", [](OpenStrip& s) { s.info.nodes = 3; });
+  expectRefused("disagree", [](OpenStrip& s) { ++s.info.entries; });
+  expectRefused("disagree", [](OpenStrip& s) { s.info.bounds.hi.x = 2; });
+  expectRefused("contradict", [](OpenStrip& s) { s.header.blocks = 5; });
+  expectRefused("contradict", [](OpenStrip& s) { s.info.nodes = s.header.nodes = 0; });
+  expectRefused("contradict", [](OpenStrip& s) { s.info.nodes = s.header.nodes = 257; });
+  // Sizes that would take gigabytes: refused before memory is taken, for the payload is a few hundred bytes.
+  expectRefused("contradict", [](OpenStrip& s) { s.info.entries = s.header.entries = 0xffffffff; });
+  OpenStrip strip = sample();
+  strip.header.raw_bytes = strip.info.raw_bytes = 0xfffffff0;
+  EXPECT_FALSE(strip.decode(strip.seal(false)));
+  strip.header.raw_bytes = strip.info.raw_bytes = static_cast<uint32_t>(strip.raw.size()) + 4;
+  EXPECT_FALSE(strip.decode(strip.seal(false)));
+}
+
+TEST(StripRules, ThePayloadIsOneFrame) {
+  OpenStrip strip = sample();
+  std::vector<std::byte> bytes = strip.seal();
+  const auto sealAgain = [&] {
+    ++strip.header.payload_bytes;
+    std::vector<std::byte> head = recordBytes(strip.header);
+    std::copy(head.begin(), head.end(), bytes.begin());
+    strip.info.stored_bytes = static_cast<uint32_t>(bytes.size());
+    strip.checksum = mixStripChecksum(hashStripContent(bytes), {kKindRows, 1, 7, 3, 8192});
+    storeLittle(bytes.data() + kStripChecksumOffset, strip.checksum);
+  };
+  bytes.push_back(std::byte{0});
+  sealAgain();
+  const auto read = strip.decode(bytes);
+  ASSERT_FALSE(read);
+  EXPECT_NE(read.error().message.find("one zstd frame"), std::string::npos) << read.error().line();
+}
+
+// Whatever the decoder accepts keeps the rules: the encoder, which checks them on its own, takes it back.
+TEST(StripRules, RandomDamageIsRefusedOrHarmless) {
+  std::mt19937_64 random(5);
+  RandomWorldSettings settings;
+  settings.level0_tiles = 3;
+  settings.levels = 1;
+  settings.max_tile_nodes = 40;
+  settings.quanta = 300;
+  const RandomWorld w = makeRandomWorld(settings);
+  std::vector<uint32_t> tile_nodes;
+  for (const Strip& s : w.strips[0]) tile_nodes.push_back(static_cast<uint32_t>(s.nodes.size()));
+  const auto encoded = encodeStrip(w.strips[0][0], w.bounds[0][0]);
+  ASSERT_TRUE(encoded);
+  const OpenStrip whole(*encoded, tile_nodes);
+  int accepted = 0;
+  for (int i = 0; i < 4000; ++i) {
+    OpenStrip strip = whole;
+    // Half of the damage in the entries, where the decoder has most to get wrong.
+    const uint64_t from = i % 2 == 0 ? 0 : strip.layout().blockSteps();
+    for (uint64_t n = 1 + random() % 3; n > 0; --n)
+      setByte(strip, from + random() % (strip.raw.size() - from), static_cast<int>(random() & 255));
+    if (random() % 8 == 0) strip.raw.resize(random() % strip.raw.size());
+    const std::vector<std::byte> bytes = strip.seal();
+    Strip out;
+    if (!decodeStripBytes(strip.info, strip.checksum, strip.partners, bytes, out)) continue;
+    ++accepted;
+    const auto again = encodeStrip(out, strip.info.bounds);
+    ASSERT_TRUE(again) << again.error().line();
+  }
+  EXPECT_GT(accepted, 100);  // or the damage was never subtle
+  EXPECT_LT(accepted, 3900);
+}
+
+TEST(Encoder, RefusesWhatTheFormatCannotHold) {
+  const Box box{{0, 0, 0}, {1, 1, 1}};
+  const auto refused = [&](const std::function<void(Strip&)>& damage) {
+    Strip s = sampleStrip();
+    damage(s);
+    return !encodeStrip(s, box).has_value();
+  };
+  EXPECT_FALSE(refused([](Strip&) {}));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes.clear(); }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].area_m2 = 0; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].albedo.y = 1.5f; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].albedo.y = NAN; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].normal.x = NAN; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].emission.z = -1; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].centroid.x = 2; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].sky_direction.x = 2; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].sky += 1; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].quanta = 1 << 16; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.counts[0] = 0; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.rows[0] = 1; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.rows[2] = 2; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.columns[1] = 3; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.columns.pop_back(); }));
+  EXPECT_TRUE(refused([](Strip& s) { s.blocks.pop_back(); }));
+  EXPECT_TRUE(refused([](Strip& s) { s.blocks[1].partner_tile = 0; }));
+}
+
+}  // namespace
+}  // namespace ff::formats

@@ -1,0 +1,163 @@
+#include <map>
+
+#include "runtime/page_table.h"
+#include "tests/runtime/test_world.h"
+
+namespace ff::runtime {
+namespace {
+
+using formats::TileId;
+
+// The slot that stands for a node, by the definition alone.
+uint32_t resolveByWalking(const TestWorld& test, const LocalMatrix& matrix, uint32_t level, uint32_t node) {
+  for (;;) {
+    for (const SlotRange& range : matrix.tiles)
+      if (range.id.level == level && node >= range.first_node && node < range.first_node + range.nodes)
+        return range.first_slot + node - range.first_node;
+    node = test.world().parent(level, node);
+    ++level;
+  }
+}
+
+LocalMatrix build(const TestWorld& test, const Cut& cut, FarLight far_light = FarLight::kPyramid) {
+  auto built = buildLocalMatrix(test.world(), cut, far_light);
+  EXPECT_TRUE(built) << built.error().line();
+  return std::move(*built);
+}
+
+TEST(PageTable, ResolvesEveryNodeOfEveryTileAsAWalkUpTheParentsDoes) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 3});
+  for (uint64_t seed = 1; seed <= 4; ++seed) {
+    const LocalMatrix matrix = build(test, test.randomCut(0.6, seed));
+    PageTable pages(test.world(), matrix.tiles);
+    for (uint32_t level = 0; level < test.world().levels().size(); ++level)
+      for (const formats::TileInfo& info : test.world().tiles(level)) {
+        const uint32_t number = pages.pageOf(info.id);
+        for (uint32_t i = 0; i < info.nodes; ++i)
+          ASSERT_EQ(pages.page(number)[i], resolveByWalking(test, matrix, level, info.first_node + i))
+              << level << ":" << info.first_node + i;
+      }
+    EXPECT_FALSE(pages.incomplete());
+  }
+}
+
+TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
+  for (uint64_t seed = 1; seed <= 4; ++seed) {
+    const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false, .seed = seed});
+    for (const double chance : {0.0, 0.3, 0.7, 1.0}) {
+      const Cut cut = test.randomCut(chance, seed + 100);
+      const LocalMatrix matrix = build(test, cut);
+      ASSERT_EQ(matrix.row_start.size(), matrix.slots() + 1u);
+      uint32_t slot = 0;
+      for (const auto& strip : cut) {
+        std::vector<std::map<uint32_t, uint32_t>> expected(strip->nodes.size());
+        size_t k = 0;
+        for (const formats::Block& block : strip->blocks)
+          for (const size_t end = k + block.entries; k < end; ++k) {
+            const uint32_t column = test.world().tiles(strip->id.level)[block.partner_tile].first_node + strip->columns[k];
+            expected[strip->rows[k]][resolveByWalking(test, matrix, strip->id.level, column)] += strip->counts[k];
+          }
+        for (size_t i = 0; i < strip->nodes.size(); ++i, ++slot) {
+          std::map<uint32_t, uint32_t> row;
+          for (uint32_t e = matrix.row_start[slot]; e < matrix.row_start[slot + 1]; ++e)
+            ASSERT_TRUE(row.emplace(matrix.entries[e] >> 16, matrix.entries[e] & 0xffff).second) << "a slot appears twice";
+          if (!matrix.leaf[slot]) expected[i].clear();
+          ASSERT_EQ(row, expected[i]) << "slot " << slot;
+          ASSERT_EQ(matrix.row_scale[slot], 1.0f / static_cast<float>(strip->nodes[i].quanta));
+          ASSERT_EQ(matrix.area_m2[slot], strip->nodes[i].area_m2);
+        }
+      }
+      ASSERT_EQ(slot, matrix.slots());
+    }
+  }
+}
+
+TEST(LocalMatrix, ANodeIsRefinedExactlyWhenItsChildrenAreActive) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 9});
+  const Cut cut = test.randomCut(0.6, 5);
+  const LocalMatrix matrix = build(test, cut);
+  std::map<uint32_t, std::pair<uint32_t, uint32_t>> refined;
+  for (size_t l = 0; l + 1 < matrix.refined_level_start.size(); ++l)
+    for (uint32_t r = matrix.refined_level_start[l]; r < matrix.refined_level_start[l + 1]; ++r) {
+      const LocalMatrix::Refined& item = matrix.refined[r];
+      ASSERT_TRUE(refined.emplace(item.slot, std::pair{item.first_child, item.children}).second);
+      // Children come from an earlier range, or are leaves.
+      for (uint32_t c = item.first_child; c < item.first_child + item.children; ++c)
+        ASSERT_TRUE(matrix.leaf[c] || refined.count(c) != 0);
+    }
+  for (const SlotRange& range : matrix.tiles)
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const uint32_t slot = range.first_slot + i, node = range.first_node + i;
+      bool children_active = false;
+      if (range.id.level > 0) {
+        const auto [first, last] = test.world().children(range.id.level, node);
+        const uint32_t first_slot = matrix.slotOf(range.id.level - 1, first);
+        children_active = first_slot != kNoSlot;
+        if (children_active) {
+          ASSERT_EQ(refined.at(slot), std::pair(first_slot, last - first));
+        }
+      }
+      ASSERT_EQ(matrix.leaf[slot] == 0, children_active);
+      ASSERT_EQ(refined.count(slot), children_active ? 1u : 0u);
+      ASSERT_EQ(matrix.slotOf(range.id.level, node), slot);
+    }
+}
+
+TEST(LocalMatrix, IsAFunctionOfTheCutAlone) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  const Cut cut = test.randomCut(0.5, 1);
+  const LocalMatrix a = build(test, cut);
+  (void)build(test, test.randomCut(0.9, 2));
+  const LocalMatrix b = build(test, cut);
+  EXPECT_EQ(a.entries, b.entries);
+  EXPECT_EQ(a.row_start, b.row_start);
+}
+
+TEST(LocalMatrix, ConstantFarLightSendsAllOtherColumnsToTheLastSlot) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 4});
+  const Cut cut = test.randomCut(0.95, 8);
+  const LocalMatrix matrix = build(test, cut, FarLight::kConstant);
+  ASSERT_GT(matrix.tiles.size(), 2u);
+  ASSERT_LT(matrix.tiles.size(), test.world().tiles(0).size());
+  const uint32_t ambient = matrix.slots() - 1;
+  EXPECT_EQ(matrix.row_start[ambient], matrix.row_start[ambient + 1]);
+  uint32_t slot = 0;
+  bool met = false;
+  for (const auto& strip : cut) {
+    if (strip->id.level != 0) continue;
+    for (const formats::Node& node : strip->nodes) {
+      uint32_t sum = 0;
+      for (uint32_t e = matrix.row_start[slot]; e < matrix.row_start[slot + 1]; ++e) {
+        ASSERT_LE(matrix.entries[e] >> 16, ambient);
+        met = met || matrix.entries[e] >> 16 == ambient;
+        sum += matrix.entries[e] & 0xffff;
+      }
+      ASSERT_EQ(sum + node.sky + node.absorbed, node.quanta);
+      ++slot;
+    }
+  }
+  EXPECT_EQ(slot, ambient);
+  EXPECT_TRUE(met);
+}
+
+TEST(LocalMatrix, RefusesTilesWithoutTheirAncestors) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  Cut cut = test.randomCut(1, 1);
+  cut.pop_back();  // a tile of the top level
+  const auto built = buildLocalMatrix(test.world(), cut);
+  ASSERT_FALSE(built);
+  EXPECT_EQ(built.error().code, ErrorCode::kUsage);
+}
+
+TEST(LocalMatrix, RefusesMoreNodesThanSlots) {
+  const TestWorld test({.side = 16, .levels = 2, .tile_nodes = 200});
+  Cut cut;
+  const Cut all = test.randomCut(1, 1);
+  while (cut.size() * 100 < kMaxSlots + 20000) cut.push_back(all.front());  // the check comes before any other look
+  const auto built = buildLocalMatrix(test.world(), cut);
+  ASSERT_FALSE(built);
+  EXPECT_EQ(built.error().code, ErrorCode::kUsage);
+}
+
+}  // namespace
+}  // namespace ff::runtime

@@ -1,0 +1,135 @@
+#include "stream/file_source.h"
+
+#include <gtest/gtest.h>
+
+#include <condition_variable>
+#include <filesystem>
+#include <mutex>
+#include <thread>
+
+#include "tests/stream/synthetic_world.h"
+
+namespace ff::stream {
+namespace {
+
+using formats::TileId;
+
+struct Opened {
+  explicit Opened(const SyntheticSettings& settings = {}) {
+    const auto written = formats::writeWorld(makeSyntheticWorld(settings), folder.file("world.ffm"), 20000);
+    EXPECT_TRUE(written) << written.error().line();
+    auto opened = formats::World::open(folder.file("world.ffm"));
+    EXPECT_TRUE(opened) << opened.error().line();
+    world = std::make_unique<formats::World>(std::move(*opened));
+  }
+  formats::TemporaryFolder folder;
+  std::unique_ptr<formats::World> world;
+};
+
+// The two implementations, by the same tests.
+class FileSource : public testing::TestWithParam<const char*> {
+ protected:
+  std::unique_ptr<TileSource> make(const formats::World& world) {
+    if (std::string(GetParam()) == "threads") return makeThreadSource(world, 3);
+    auto uring = makeUringSource(world);
+    if (uring) return std::move(*uring);
+    std::cout << "io_uring is refused here: " << uring.error().line() << "\n";
+    return nullptr;
+  }
+};
+
+struct Collector {
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::multimap<TileId, Result<std::vector<std::byte>>> arrived;
+
+  TileSource::Done callback() {
+    return [this](TileId id, Result<std::vector<std::byte>> bytes) {
+      const std::lock_guard lock(mutex);
+      arrived.emplace(id, std::move(bytes));
+      changed.notify_all();
+    };
+  }
+  void await(size_t count) {
+    std::unique_lock lock(mutex);
+    changed.wait(lock, [&] { return arrived.size() >= count; });
+  }
+};
+
+TEST_P(FileSource, BringsTheBytesOfEveryStripOnceFromSeveralShards) {
+  const Opened opened;
+  const formats::World& world = *opened.world;
+  ASSERT_GT(world.shards().size(), 2u);
+  Collector collector;
+  const auto source = make(world);
+  if (!source) GTEST_SKIP();
+  EXPECT_STREQ(source->name(), GetParam());
+  size_t asked = 0;
+  for (int round = 0; round < 3; ++round)  // far more than a ring holds
+    for (uint32_t level = 0; level < world.levels().size(); ++level)
+      for (const formats::TileInfo& info : world.tiles(level)) {
+        source->read(info.id, collector.callback());
+        ++asked;
+      }
+  ASSERT_GT(asked, 100u);
+  collector.await(asked);
+  ASSERT_EQ(collector.arrived.size(), asked);
+  for (auto& [id, bytes] : collector.arrived) {
+    ASSERT_TRUE(bytes) << bytes.error().line();
+    ASSERT_EQ(bytes->size(), world.tiles(id.level)[id.tile].stored_bytes);
+    formats::Strip strip;
+    ASSERT_TRUE(world.decodeStrip(id, *bytes, strip));
+    ASSERT_EQ(collector.arrived.count(id), 3u);
+  }
+}
+
+TEST_P(FileSource, ReportsAStripThatLiesPastTheEndOfAShrunkenShard) {
+  const Opened opened;
+  const formats::World& world = *opened.world;
+  const formats::TileInfo& info = world.tiles(0).back();
+  std::filesystem::resize_file(opened.folder.file(world.shards()[info.shard].name), info.offset + info.stored_bytes / 2);
+  Collector collector;
+  const auto source = make(world);
+  if (!source) GTEST_SKIP();
+  source->read(info.id, collector.callback());
+  collector.await(1);
+  const auto& bytes = collector.arrived.begin()->second;
+  ASSERT_FALSE(bytes);
+  EXPECT_EQ(bytes.error().code, ErrorCode::kIo);
+  EXPECT_NE(bytes.error().line().find("ends within a strip"), std::string::npos) << bytes.error().line();
+}
+
+TEST_P(FileSource, AnswersEverythingBeforeItsDestructionEnds) {
+  const Opened opened;
+  for (int repeat = 0; repeat < 30; ++repeat) {
+    Collector collector;
+    auto source = make(*opened.world);
+    if (!source) GTEST_SKIP();
+    for (int i = 0; i < repeat; ++i) source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, collector.callback());
+    source.reset();
+    ASSERT_EQ(collector.arrived.size(), static_cast<size_t>(repeat));
+  }
+}
+
+TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
+  const Opened opened;
+  Collector collector;
+  const auto source = make(*opened.world);
+  if (!source) GTEST_SKIP();
+  std::vector<std::thread> threads;
+  for (uint32_t t = 0; t < 4; ++t)
+    threads.emplace_back([&, t] {
+      for (uint32_t i = 0; i < 50; ++i)
+        source->read({0, (t * 50 + i) % opened.world->levels()[0].tiles}, collector.callback());
+    });
+  for (std::thread& thread : threads) thread.join();
+  collector.await(200);
+  for (const auto& [id, bytes] : collector.arrived) ASSERT_TRUE(bytes);
+}
+
+INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"), [](const auto& p) {
+  return std::string(p.param);
+});
+
+}  // namespace
+}  // namespace ff::stream

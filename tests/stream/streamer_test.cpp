@@ -1,0 +1,316 @@
+#include "stream/streamer.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <future>
+#include <limits>
+#include <set>
+
+#include "stream/file_source.h"
+#include "stream/wanted_tiles.h"
+#include "tests/stream/synthetic_world.h"
+#include "tests/stream/test_sources.h"
+
+namespace ff::stream {
+namespace {
+
+using formats::TileId;
+
+class StreamerTest : public testing::Test {
+ protected:
+  StreamerTest() {
+    const auto written =
+        formats::writeWorld(makeSyntheticWorld({.side = 64, .levels = 5, .tile_nodes = 32}), folder_.file("w.ffm"), 1 << 20);
+    if (!written) throw std::runtime_error(written.error().line());
+    auto opened = formats::World::open(folder_.file("w.ffm"));
+    if (!opened) throw std::runtime_error(opened.error().line());
+    world_ = std::make_unique<formats::World>(std::move(*opened));
+    const auto files = makeThreadSource(*world_, 1);
+    for (uint32_t level = 0; level < world_->levels().size(); ++level)
+      for (const formats::TileInfo& info : world_->tiles(level)) {
+        std::promise<std::vector<std::byte>> promise;
+        files->read(info.id, [&](TileId, Result<std::vector<std::byte>> bytes) { promise.set_value(std::move(*bytes)); });
+        bytes_[info.id] = promise.get_future().get();
+      }
+  }
+
+  std::unique_ptr<MemorySource> memory(uint64_t seed = 1, FateOf fate = nullptr) const {
+    return std::make_unique<MemorySource>(bytes_, seed, std::move(fate));
+  }
+  std::unique_ptr<Streamer> make(const StreamSettings& settings, std::unique_ptr<TileSource> source = nullptr) const {
+    auto streamer = Streamer::create(*world_, settings, std::move(source));
+    EXPECT_TRUE(streamer) << streamer.error().line();
+    return std::move(*streamer);
+  }
+  static std::vector<TileId> ids(const Streamer& streamer) {
+    std::vector<TileId> ids;
+    for (const StripPtr& strip : streamer.active()) ids.push_back(strip->id);
+    return ids;
+  }
+  static std::vector<TileId> settledAt(Streamer& streamer, Vec3 observer) {
+    streamer.update(observer, {});
+    EXPECT_TRUE(streamer.settle());
+    return ids(streamer);
+  }
+  uint32_t top() const { return static_cast<uint32_t>(world_->levels().size() - 1); }
+  // All tiles of all nodes' parents.
+  std::set<TileId> parentsOf(TileId id) const {
+    std::set<TileId> parents;
+    const formats::TileInfo& info = world_->tiles(id.level)[id.tile];
+    for (uint32_t i = 0; id.level < top() && i < info.nodes; ++i)
+      parents.insert({id.level + 1, world_->tileOf(id.level + 1, world_->parent(id.level, info.first_node + i))});
+    return parents;
+  }
+  // The wanted set by definition, from all tiles of the world. No budgets, no history.
+  std::vector<TileId> wantedByDefinition(Vec3 observer, float radius_m, float growth) const {
+    std::set<TileId> wanted;
+    for (uint32_t level = top() + 1; level-- > 0;)
+      for (const formats::TileInfo& info : world_->tiles(level)) {
+        bool in = level == top() || info.bounds.distance(observer) < radius_m * std::pow(growth, static_cast<float>(level));
+        for (const TileId parent : parentsOf(info.id)) in = in && wanted.count(parent) != 0;
+        if (in) wanted.insert(info.id);
+      }
+    return {wanted.begin(), wanted.end()};
+  }
+  // The level-0 radius from which on a tile is wanted: its own and its ancestors' (growth 1.6).
+  float reach(TileId id, Vec3 observer) const {
+    if (id.level == top()) return 0;
+    float reach = world_->tiles(id.level)[id.tile].bounds.distance(observer) / std::pow(1.6f, static_cast<float>(id.level));
+    for (const TileId parent : parentsOf(id)) reach = std::max(reach, this->reach(parent, observer));
+    return reach;
+  }
+  Vec3 randomPlace(std::mt19937_64& random) const {
+    return {static_cast<float>(random() % 6400) / 100, 1, static_cast<float>(random() % 6400) / 100};
+  }
+
+  formats::TemporaryFolder folder_;
+  std::unique_ptr<formats::World> world_;
+  std::map<TileId, std::vector<std::byte>> bytes_;
+};
+
+const StreamSettings kNoHistory{.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f};
+
+TEST_F(StreamerTest, SettlesOnTheTilesThatTheDefinitionNames) {
+  const auto streamer = make(kNoHistory);
+  std::mt19937_64 random(1);
+  size_t level0 = 0;
+  for (int i = 0; i < 30; ++i) {
+    const Vec3 at = randomPlace(random);
+    const auto settled = settledAt(*streamer, at);
+    ASSERT_EQ(settled, wantedByDefinition(at, 6, 1.6f));
+    level0 += settled.front().level == 0;
+  }
+  EXPECT_GT(level0, 20u);
+}
+
+TEST_F(StreamerTest, SettledSetWithoutHysteresisIsAFunctionOfTheObserverAlone) {
+  for (const StreamSettings& settings :
+       {kNoHistory, StreamSettings{.radius_m = 6, .hysteresis = 1.0f, .memory_bytes = 200000},
+        StreamSettings{.radius_m = 12, .hysteresis = 1.0f, .max_level0_nodes = 200},
+        StreamSettings{.radius_m = 12, .hysteresis = 1.0f, .max_nodes = 600}}) {
+    const auto wandering = make(settings, memory(7));
+    std::mt19937_64 random(2);
+    for (int i = 0; i < 20; ++i) {
+      for (int step = 0; step < 5; ++step) wandering->update(randomPlace(random), {1, 0, 2});
+      const Vec3 at = randomPlace(random);
+      const auto fresh = make(settings, memory(8));
+      ASSERT_EQ(settledAt(*wandering, at), settledAt(*fresh, at));
+    }
+  }
+}
+
+TEST_F(StreamerTest, ActiveTilesAlwaysHaveActiveParentsAndTheTopLevelNeverLeaves) {
+  const auto streamer = make({.radius_m = 9, .hysteresis = 1.2f}, memory(3));
+  std::mt19937_64 random(4);
+  for (int i = 0; i < 300; ++i) {
+    streamer->update(randomPlace(random), {});
+    const auto active = ids(*streamer);
+    ASSERT_TRUE(std::is_sorted(active.begin(), active.end()));
+    const std::set<TileId> in(active.begin(), active.end());
+    for (const TileId id : active)
+      for (const TileId parent : parentsOf(id)) ASSERT_TRUE(in.count(parent));
+    for (const formats::TileInfo& info : world_->tiles(top())) ASSERT_TRUE(in.count(info.id));
+  }
+}
+
+TEST_F(StreamerTest, HysteresisKeepsATileThatADistanceWithoutHistoryWouldNotWant) {
+  const auto plain = make({.radius_m = 6, .hysteresis = 1.0f}, memory());
+  const auto sticky = make({.radius_m = 6, .hysteresis = 1.3f}, memory());
+  size_t kept = 0;
+  for (float x = 10; x < 50; x += 0.25f) {
+    const auto without = settledAt(*plain, {x, 1, 30}), with = settledAt(*sticky, {x, 1, 30});
+    ASSERT_TRUE(std::includes(with.begin(), with.end(), without.begin(), without.end()));
+    for (const TileId id : with)
+      if (id.level < top()) {
+        const float reach = 6 * std::pow(1.6f, static_cast<float>(id.level));
+        ASSERT_LT(world_->tiles(id.level)[id.tile].bounds.distance({x, 1, 30}), 1.3f * reach * 1.0001f);
+      }
+    kept += with.size() - without.size();
+  }
+  EXPECT_GT(kept, 0u);
+}
+
+TEST_F(StreamerTest, ABudgetAdmitsTheNearestTilesFirst) {
+  const auto budgeted = make({.radius_m = 20, .hysteresis = 1.0f, .max_level0_nodes = 300}, memory());
+  std::mt19937_64 random(5);
+  for (int i = 0; i < 10; ++i) {
+    const Vec3 at = randomPlace(random);
+    const auto settled = settledAt(*budgeted, at);
+    uint32_t level0 = 0;
+    float farthest = 0;
+    for (const TileId id : settled)
+      if (id.level == 0) {
+        level0 += world_->tiles(0)[id.tile].nodes;
+        farthest = std::max(farthest, reach(id, at));
+      }
+    ASSERT_LE(level0, 300u);
+    ASSERT_GT(level0, 200u);
+    for (const TileId id : wantedByDefinition(at, 20, 1.6f))
+      if (id.level == 0 && reach(id, at) < farthest) {
+        ASSERT_TRUE(std::binary_search(settled.begin(), settled.end(), id));
+      }
+  }
+}
+
+TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
+  const uint64_t budget = 300000;
+  const auto streamer = make({.radius_m = 10, .hysteresis = 1.2f, .memory_bytes = budget}, memory(11));
+  std::mt19937_64 random(6);
+  Vec3 at{32, 1, 32};
+  for (int i = 0; i < 600; ++i) {
+    at += Vec3{static_cast<float>(random() % 200) / 100 - 1, 0, static_cast<float>(random() % 200) / 100 - 1};
+    if (i % 50 == 0) at = randomPlace(random);
+    streamer->update(at, {});
+    if (i % 7 == 0) { ASSERT_TRUE(streamer->settle()); }
+    uint64_t bytes = 0;
+    for (const StripPtr& strip : streamer->active()) bytes += decodedBytes(*strip);
+    ASSERT_LE(bytes, budget);
+    ASSERT_LE(streamer->stats().resident_bytes, budget);
+  }
+  const StreamStats stats = streamer->stats();
+  EXPECT_LE(stats.peak_resident_bytes, budget);
+  EXPECT_GT(stats.evicted, 0u);
+}
+
+TEST_F(StreamerTest, AReturnWithinTheBudgetReadsNothingAgain) {
+  const auto streamer = make(kNoHistory, memory());
+  settledAt(*streamer, {10, 1, 10});
+  settledAt(*streamer, {50, 1, 50});
+  const uint64_t read = streamer->stats().strips_read;
+  settledAt(*streamer, {10, 1, 10});
+  EXPECT_EQ(streamer->stats().strips_read, read);
+}
+
+TEST_F(StreamerTest, AFailureIsRetriedOnceAndLeavesNoTrace) {
+  for (const Fate fate : {Fate::kReadError, Fate::kFlippedByte, Fate::kTruncated, Fate::kEmpty}) {
+    auto source = memory(1, [fate](TileId, int attempt) { return attempt == 0 ? fate : Fate::kGood; });
+    const auto streamer = make(kNoHistory, std::move(source));
+    EXPECT_EQ(settledAt(*streamer, {30, 1, 30}), wantedByDefinition({30, 1, 30}, 6, 1.6f));
+    EXPECT_EQ(streamer->stats().failed, 0u);
+  }
+}
+
+TEST_F(StreamerTest, AStripThatFailsTwiceLeavesItsAreaOnTheCoarserLevelAndIsCounted) {
+  const Vec3 at{30, 1, 30};
+  const auto wanted = wantedByDefinition(at, 6, 1.6f);
+  for (const Fate fate : {Fate::kReadError, Fate::kFlippedByte, Fate::kTruncated, Fate::kEmpty}) {
+    // One tile of level 1 is bad: everything beneath it must stay out, everything else come.
+    TileId bad{};
+    for (const TileId id : wanted)
+      if (id.level == 1) bad = id;
+    auto source = memory(1, [=](TileId id, int) { return id == bad ? fate : Fate::kGood; });
+    MemorySource* const watched = source.get();
+    const auto streamer = make(kNoHistory, std::move(source));
+    const auto settled = settledAt(*streamer, at);
+    std::vector<TileId> expected;
+    for (const TileId id : wanted)
+      if (id != bad && parentsOf(id).count(bad) == 0) expected.push_back(id);
+    ASSERT_LT(expected.size() + 1, wanted.size());
+    EXPECT_EQ(settled, expected);
+    EXPECT_EQ(streamer->stats().failed, 1u);
+    EXPECT_EQ(watched->attempts(bad), 2);
+    EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+  }
+}
+
+TEST_F(StreamerTest, ATopLevelThatCannotBeReadIsAnErrorOfCreate) {
+  const auto streamer = Streamer::create(*world_, kNoHistory, memory(1, [this](TileId id, int) {
+    return id.level == top() ? Fate::kFlippedByte : Fate::kGood;
+  }));
+  ASSERT_FALSE(streamer);
+  EXPECT_EQ(streamer.error().code, ErrorCode::kInvalidFile);
+}
+
+TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
+  auto source = memory();
+  MemorySource* const held = source.get();
+  const auto streamer = make({.radius_m = 6, .hysteresis = 1.0f, .queue_depth = 4}, std::move(source));
+  held->hold(true);
+  EXPECT_FALSE(streamer->update({5, 1, 5}, {}));  // would hang here if it waited
+  const uint32_t pending = streamer->stats().pending_tiles;
+  EXPECT_GT(pending, 4u);
+  EXPECT_EQ(held->mostWaiting(), 4u);
+  streamer->update({60, 1, 60}, {});
+  EXPECT_GT(streamer->stats().cancelled, 0u);
+  EXPECT_EQ(held->mostWaiting(), 4u);
+  held->hold(false);
+  EXPECT_EQ(settledAt(*streamer, {60, 1, 60}), wantedByDefinition({60, 1, 60}, 6, 1.6f));
+}
+
+TEST_F(StreamerTest, TilesAheadAreReadBeforeTilesBehind) {
+  for (const float direction : {-1.0f, 1.0f}) {
+    std::vector<TileId> order;  // written under the source's lock, read after settling
+    auto source = memory(1, [&order](TileId id, int) { order.push_back(id); return Fate::kGood; });
+    MemorySource* const held = source.get();
+    const auto streamer = make({.radius_m = 12, .hysteresis = 1.0f, .queue_depth = 1}, std::move(source));
+    order.clear();
+    held->hold(true);
+    streamer->update({32, 1, 32}, {direction * 20, 0, 0});
+    held->hold(false);
+    ASSERT_TRUE(streamer->settle());
+    std::vector<float> ahead;
+    for (const TileId id : order)
+      if (id.level == 0) {
+        const Box& box = world_->tiles(0)[id.tile].bounds;
+        ahead.push_back(direction * ((box.lo.x + box.hi.x) / 2 - 32));
+      }
+    ASSERT_GT(ahead.size(), 8u);
+    const size_t third = ahead.size() / 3;
+    float early = 0, late = 0;
+    for (size_t i = 0; i < third; ++i) {
+      early += ahead[i];
+      late += ahead[ahead.size() - 1 - i];
+    }
+    EXPECT_GT(early, late);
+  }
+}
+
+TEST_F(StreamerTest, AStillObserverWithNothingUnderWayCausesNoChange) {
+  const auto streamer = make(kNoHistory, memory());
+  settledAt(*streamer, {20, 1, 20});
+  const auto before = ids(*streamer);
+  for (int i = 0; i < 5; ++i) EXPECT_FALSE(streamer->update({20, 1, 20}, {}));
+  EXPECT_EQ(ids(*streamer), before);
+}
+
+TEST_F(StreamerTest, CanBeDestroyedWhileReadsAreUnderWay) {
+  for (uint64_t i = 0; i < 20; ++i) {
+    const auto streamer = make({.radius_m = 30, .decode_threads = 2}, i % 2 ? memory(i) : nullptr);
+    streamer->update({30, 1, 30}, {});
+  }
+}
+
+TEST_F(StreamerTest, RefusesSettingsThatCannotWork) {
+  for (const StreamSettings& settings :
+       {StreamSettings{.radius_m = 0}, StreamSettings{.radius_m = -1}, StreamSettings{.growth = 0.5f},
+        StreamSettings{.hysteresis = 0.9f}, StreamSettings{.memory_bytes = 100}, StreamSettings{.max_nodes = 1},
+        StreamSettings{.radius_m = std::numeric_limits<float>::quiet_NaN()}}) {
+    const auto streamer = Streamer::create(*world_, settings, memory());
+    ASSERT_FALSE(streamer);
+    EXPECT_EQ(streamer.error().code, ErrorCode::kUsage);
+  }
+}
+
+}  // namespace
+}  // namespace ff::stream

@@ -1,0 +1,170 @@
+#include "tests/stream/synthetic_world.h"
+
+#include <algorithm>
+#include <map>
+#include <random>
+
+namespace ff::stream {
+namespace {
+
+using formats::Node;
+using formats::Strip;
+
+uint32_t evenBits(uint32_t code) {
+  uint32_t bits = 0;
+  for (uint32_t b = 0; b < 16; ++b) bits |= (code >> (2 * b) & 1) << b;
+  return bits;
+}
+
+struct Random {
+  std::mt19937_64 engine;
+  uint32_t below(uint32_t n) { return static_cast<uint32_t>(engine() % n); }
+  float uniform(float lo, float hi) { return lo + (hi - lo) * static_cast<float>(engine() >> 40) / 16777216.0f; }
+  bool chance(double p) { return static_cast<double>(engine() >> 11) < p * 9007199254740992.0; }
+};
+
+using Row = std::map<uint32_t, uint32_t>;  // column node -> count
+
+struct Level {
+  std::vector<uint32_t> codes;  // Morton codes of the cells
+  std::vector<Node> nodes;
+  std::vector<Row> rows;
+  std::vector<Box> boxes;
+};
+
+Level makePatches(const SyntheticSettings& s, Random& random) {
+  Level level;
+  for (uint32_t code = 0; code < s.side * s.side; ++code) {
+    if (random.chance(s.hole_share)) continue;
+    const auto x = static_cast<float>(evenBits(code)), z = static_cast<float>(evenBits(code >> 1));
+    Node node;
+    node.area_m2 = s.equal_areas ? 1.0f : random.uniform(0.1f, 1.0f);
+    node.centroid = {x + 0.5f, 0, z + 0.5f};
+    node.normal = {0, 1, 0};
+    for (int c = 0; c < 3; ++c) node.albedo[c] = s.albedo >= 0 ? s.albedo : random.uniform(0.05f, 0.9f);
+    if (random.chance(0.1)) node.emission = {random.uniform(0, 10), random.uniform(0, 10), random.uniform(0, 10)};
+    node.quanta = s.quanta;
+    node.sky_direction = {0.1f, 0.7f, -0.2f};
+    level.codes.push_back(code);
+    level.nodes.push_back(node);
+    level.boxes.push_back({{x, -0.5f, z}, {x + 1, 0.5f, z + 1}});
+  }
+  const auto count = static_cast<uint32_t>(level.nodes.size());
+  for (uint32_t i = 0; i < count; ++i) {
+    Row& row = level.rows.emplace_back();
+    for (uint32_t q = 0; q < s.quanta; ++q) {
+      if (random.chance(s.sky_share)) {
+        ++level.nodes[i].sky;
+        continue;
+      }
+      const uint32_t near = (i + count + random.below(41) - 20) % count;
+      const uint32_t column = random.chance(s.far_share) ? random.below(count) : near;
+      ++row[column == i ? (i + 1) % count : column];
+    }
+  }
+  return level;
+}
+
+Level aggregate(const Level& below, std::vector<uint32_t>& parents) {
+  Level level;
+  parents.clear();
+  for (const uint32_t code : below.codes) {
+    if (level.codes.empty() || level.codes.back() != code >> 2) level.codes.push_back(code >> 2);
+    parents.push_back(static_cast<uint32_t>(level.codes.size() - 1));
+  }
+  level.nodes.resize(level.codes.size());
+  level.rows.resize(level.codes.size());
+  level.boxes.resize(level.codes.size());
+  for (size_t i = 0; i < below.nodes.size(); ++i) {
+    const Node& from = below.nodes[i];
+    Node& to = level.nodes[parents[i]];
+    to.area_m2 += from.area_m2;
+    to.centroid += from.centroid * from.area_m2;
+    to.albedo += from.albedo * from.area_m2;
+    to.emission += from.emission * from.area_m2;
+    to.quanta += from.quanta;
+    to.sky += from.sky;
+    to.normal = from.normal;
+    to.sky_direction = from.sky_direction;
+    level.boxes[parents[i]].add(below.boxes[i]);
+    for (const auto& [column, n] : below.rows[i]) level.rows[parents[i]][parents[column]] += n;
+  }
+  for (Node& node : level.nodes)
+    for (Vec3* mean : {&node.centroid, &node.albedo, &node.emission}) *mean = *mean / node.area_m2;
+  return level;
+}
+
+// Families of siblings stay together; parents empty: every node is its own family.
+std::vector<uint32_t> tileStarts(size_t nodes, const std::vector<uint32_t>& parents, uint32_t tile_nodes) {
+  std::vector<uint32_t> starts{0};
+  for (uint32_t i = 0, family = 0; i < nodes; i = family) {
+    for (family = i + 1; family < nodes && !parents.empty() && parents[family] == parents[i];) ++family;
+    if (family - starts.back() > tile_nodes) starts.push_back(i);
+  }
+  starts.push_back(static_cast<uint32_t>(nodes));
+  return starts;
+}
+
+void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>& starts,
+               const std::vector<uint32_t>& parents, formats::RandomWorld& world) {
+  std::vector<Strip> strips;
+  std::vector<Box> bounds;
+  for (uint32_t tile = 0; tile + 1 < starts.size(); ++tile) {
+    Strip strip;
+    strip.id = {number, tile};
+    strip.first_node = starts[tile];
+    Box box;
+    std::map<std::array<uint32_t, 3>, uint32_t> entries;  // (partner, row, column) -> count
+    for (uint32_t i = starts[tile]; i < starts[tile + 1]; ++i) {
+      Node node = level.nodes[i];
+      node.parent = parents.empty() ? formats::kNoParent : parents[i];
+      strip.nodes.push_back(node);
+      box.add(level.boxes[i]);
+      for (const auto& [column, n] : level.rows[i]) {
+        const auto after = std::upper_bound(starts.begin(), starts.end(), column);
+        const auto partner = static_cast<uint32_t>(after - starts.begin() - 1);
+        entries[{partner, i - starts[tile], column - starts[partner]}] += n;
+      }
+    }
+    for (const auto& [key, n] : entries) {
+      if (strip.blocks.empty() || strip.blocks.back().partner_tile != key[0]) strip.blocks.push_back({key[0], 0});
+      ++strip.blocks.back().entries;
+      strip.rows.push_back(static_cast<uint8_t>(key[1]));
+      strip.columns.push_back(static_cast<uint8_t>(key[2]));
+      strip.counts.push_back(static_cast<uint16_t>(n));
+    }
+    world.info.bounds.add(box);
+    strips.push_back(std::move(strip));
+    bounds.push_back(box);
+  }
+  world.strips.push_back(std::move(strips));
+  world.bounds.push_back(std::move(bounds));
+}
+
+}  // namespace
+
+formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
+  Random random{std::mt19937_64(settings.seed)};
+  formats::RandomWorld world;
+  Level level = makePatches(settings, random);
+  for (uint32_t l = 0; l < settings.levels; ++l) {
+    std::vector<uint32_t> parents;
+    Level above;
+    if (l + 1 < settings.levels) above = aggregate(level, parents);
+    addStrips(level, l, tileStarts(level.nodes.size(), parents, settings.tile_nodes), parents, world);
+    world.cell_m.push_back(static_cast<float>(1u << l));
+    if (l + 1 < settings.levels) world.parents.push_back(std::move(parents));
+    level = std::move(above);
+  }
+  world.info.cell_m = 1;
+  world.info.grid_origin = world.info.bounds.lo;
+  world.info.rays = settings.quanta;
+  world.info.quanta = settings.quanta;
+  world.info.seed = settings.seed;
+  world.info.generator = "synthetic_world";
+  world.info.scene = "synthetic";
+  world.info.area_m2 = static_cast<double>(settings.side) * settings.side;
+  return world;
+}
+
+}  // namespace ff::stream
