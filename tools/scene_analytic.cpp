@@ -115,8 +115,8 @@ SceneModel sphericalCap(float half_angle_degrees, int segments, float albedo, fl
   const auto at = [&](int r, int s) { return static_cast<uint32_t>(r == 0 ? 0 : 1 + (r - 1) * segments + s % segments); };
   for (int r = 0; r < rings; ++r)
     for (int s = 0; s < segments; ++s) {
-      if (r > 0) p.indices.insert(p.indices.end(), {at(r, s), at(r, s + 1), at(r + 1, s)});
-      p.indices.insert(p.indices.end(), {at(r, s + 1), at(r + 1, s + 1), at(r + 1, s)});
+      if (r > 0) p.indices.insert(p.indices.end(), {at(r, s), at(r + 1, s), at(r, s + 1)});
+      p.indices.insert(p.indices.end(), {at(r, s + 1), at(r + 1, s), at(r + 1, s + 1)});
     }
   SceneModel m;
   m.name = "cap";
