@@ -9,6 +9,8 @@ namespace ff::view {
 namespace {
 
 constexpr float kInteriorOpenness = 0.25f;
+constexpr float kInteriorPlan = 0.6f;
+constexpr float kUnderRoof = 0.15f;  // of a floor's hemisphere is sky, at most
 constexpr size_t kCandidates = 600;
 constexpr int kRing = 32;  // horizontal directions looked at
 constexpr double kSeconds = 6;
@@ -113,6 +115,24 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
   return best;
 }
 
+// The share of the world's plan with a floor under a roof: near 1 for one building, less for a town or a landscape with
+// caves. (A building's outer walls see the sky, so openness alone does not tell.)
+float coveredPlan(const ViewScene& scene) {
+  const Vec3 size = scene.bounds.hi - scene.bounds.lo;
+  const float step = std::max(scene.cell_m, std::max(size.x, size.z) / 512);
+  const auto columns = static_cast<size_t>(size.x / step) + 1, rows = static_cast<size_t>(size.z / step) + 1;
+  std::vector<uint8_t> kind(columns * rows, 0);
+  for (const formats::Node& n : scene.patches) {
+    const auto x = static_cast<size_t>(std::max(0.0f, n.centroid.x - scene.bounds.lo.x) / step);
+    const auto z = static_cast<size_t>(std::max(0.0f, n.centroid.z - scene.bounds.lo.z) / step);
+    uint8_t& k = kind[std::min(x, columns - 1) + columns * std::min(z, rows - 1)];
+    const bool floor = n.normal.y > 0.8f && static_cast<float>(n.sky) < kUnderRoof * static_cast<float>(n.quanta);
+    k = std::max<uint8_t>(k, floor ? 2 : 1);
+  }
+  const auto covered = std::count(kind.begin(), kind.end(), 2), used = covered + std::count(kind.begin(), kind.end(), 1);
+  return used > 0 ? static_cast<float>(covered) / static_cast<float>(used) : 0.0f;
+}
+
 CameraPath overTheMiddle(const ViewScene& scene, const Occupancy& space) {
   const Vec3 size = scene.bounds.hi - scene.bounds.lo;
   Vec3 centre = (scene.bounds.lo + scene.bounds.hi) * 0.5f;
@@ -149,10 +169,10 @@ float openness(const ViewScene& scene) {
 
 CameraPath findPath(const ViewScene& scene) {
   const Occupancy space(scene);
-  if (openness(scene) > kInteriorOpenness) return overTheMiddle(scene, space);
+  if (openness(scene) > kInteriorOpenness && coveredPlan(scene) < kInteriorPlan) return overTheMiddle(scene, space);
   std::vector<Vec3> floors;
   for (const formats::Node& n : scene.patches)
-    if (n.normal.y > 0.8f && n.sky < n.quanta / 4) floors.push_back(n.centroid);
+    if (n.normal.y > 0.8f && static_cast<float>(n.sky) < kUnderRoof * static_cast<float>(n.quanta)) floors.push_back(n.centroid);
   const Vec3 size = scene.bounds.hi - scene.bounds.lo;
   const float extent = std::min(length(size), 60 * scene.cell_m);
   Shot best;

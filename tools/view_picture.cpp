@@ -19,6 +19,8 @@
 namespace ff::view {
 namespace {
 
+constexpr float kMiddleGrey = 0.18f, kNearWhite = 0.9f;
+
 float luminance(float r, float g, float b) { return 0.2126f * r + 0.7152f * g + 0.0722f * b; }
 
 // Narkowicz. ACES Filmic Tone Mapping Curve. 2015. 0.18 comes out near middle grey after the sRGB curve.
@@ -95,22 +97,22 @@ std::string percent(float x) {
 
 }  // namespace
 
-float meanLogLuminance(std::span<const runtime::Vec4> radiosity) {
+float exposureStops(std::span<const runtime::Vec4> radiosity) {
   std::vector<float> logs;
   logs.reserve(radiosity.size());
   for (const runtime::Vec4& b : radiosity) {
     const float l = luminance(b.x, b.y, b.z);
     if (b.w > 0 && l > 0) logs.push_back(std::log2(l));
   }
-  if (logs.empty()) return -20;
+  if (logs.empty()) return 0;
   std::sort(logs.begin(), logs.end());
   const size_t cut = logs.size() / 20;
   double sum = 0;
   for (size_t i = cut; i < logs.size() - cut; ++i) sum += static_cast<double>(logs[i]);
-  return static_cast<float>(sum / static_cast<double>(logs.size() - 2 * cut));
+  const auto mean = static_cast<float>(sum / static_cast<double>(logs.size() - 2 * cut));
+  const float bright = logs[logs.size() - 1 - logs.size() / 10];
+  return std::min(std::log2(kMiddleGrey) - mean, std::log2(kNearWhite) - bright);
 }
-
-float exposureFor(float mean_log_luminance) { return 0.18f / std::exp2(mean_log_luminance); }
 
 Picture toneMapped(std::span<const runtime::Vec4> radiosity, uint32_t width, uint32_t height, uint32_t samples,
                    float exposure) {

@@ -15,12 +15,10 @@ struct Picture {
   std::vector<uint8_t> rgb;  // 3 per pixel, sRGB, top row first
 };
 
-// Mean of log2 of the surfaces' luminance (alpha > 0), the darkest 5 % and brightest 5 % left out so that a lamp or a
-// black corner does not decide; -20 if no surface is seen or all are black.
-float meanLogLuminance(std::span<const runtime::Vec4> radiosity);
-
-// Factor on radiosity that puts that mean at middle grey.
-float exposureFor(float mean_log_luminance);
+// log2 of the factor on radiosity that shows the surfaces (alpha > 0) well: their mean log luminance (the darkest and the
+// brightest 5 % left out, so that no lamp and no black corner decides) comes out as middle grey, unless that would burn
+// more than a tenth of them to white. 0 if no surface is seen or all are black.
+float exposureStops(std::span<const runtime::Vec4> radiosity);
 
 // samples: the radiosity is `samples` times as wide and as high as the picture; each sample goes through the tone curve
 // before the mean, so that edges against bright lamps stay smooth.

@@ -225,7 +225,13 @@ Result<Rendered> Renderer::render(const SunRaster& raster, const DrawGeometry& g
     }
     runtime::barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
                      VK_PIPELINE_STAGE_VERTEX_SHADER_BIT, VK_ACCESS_SHADER_READ_BIT);
-    for (uint32_t m = 0; m < shaders::kShadowMaps; ++m) raster.drawShadow(commands, geometry, windows[m], shadows_[m]);
+    // Without a sun the maps are not read, but what is bound must have its layout: they are drawn once in any case. The
+    // world's map changes only with the sun.
+    const bool first = !shadows_drawn_, same_sun = shadows_drawn_ && drawn_sun_ == sun.to_sun;
+    if (first || sun.shines()) raster.drawShadow(commands, geometry, windows[0], shadows_[0]);
+    if (first || (sun.shines() && !same_sun)) raster.drawShadow(commands, geometry, windows[1], shadows_[1]);
+    shadows_drawn_ = true;
+    drawn_sun_ = sun.to_sun;
     VkClearValue clear[4]{};
     clear[3].depthStencil = {0, 0};
     target_.begin(commands, clear);

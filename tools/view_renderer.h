@@ -54,6 +54,8 @@ class Renderer {
   GraphicsPipeline surface_, background_;
   DrawingSet surface_set_, background_set_;
   runtime::ComputePipeline interpolate_;
+  bool shadows_drawn_ = false;
+  Vec3 drawn_sun_;
   uint32_t vertices_ = 0, vertices_per_chunk_ = 0;
   Buffer tables_, looks_, patch_slot_, slots_, light_, differences_, frame_, pixels_;
 };

@@ -93,7 +93,7 @@ Result<void> writePictures(const Flight& f, const Rendered& drawn, const Picture
 }
 
 Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t,
-                      float* mean_log) {
+                      float* stops) {
   const View view = f.camera.at(t);
   const Vec3 velocity = f.camera.velocityAt(t);
   const uint64_t bytes_before = streamer.stats().bytes_read;
@@ -102,7 +102,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto r = streamer.settle(); !r) return r.error();
   auto stats = updater.frame(view.eye, velocity, f.options.iterations);
   if (!stats) return stats.error();
-  auto iterations = updater.converge(1e-5f, 400);
+  auto iterations = updater.converge(1e-5f, 256);
   if (!iterations) return iterations.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();
@@ -119,9 +119,9 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {patch_slot, slots, comparison.difference});
   if (!drawn) return drawn.error();
   const double draw_ms = msSince(draw_start);
-  const float seen = meanLogLuminance(drawn->bounced);
-  *mean_log = frame == 0 ? seen : *mean_log + kAdaption * (seen - *mean_log);
-  const float exposure = f.options.exposure_stops ? std::exp2(*f.options.exposure_stops) : exposureFor(*mean_log);
+  const float wanted = f.options.exposure_stops.value_or(exposureStops(drawn->bounced));
+  *stops = frame == 0 || f.options.exposure_stops ? wanted : *stops + kAdaption * (wanted - *stops);
+  const float exposure = std::exp2(*stops);
   const PictureNames names = namesOf(f, frame);
   if (auto w = writePictures(f, *drawn, names, exposure); !w) return w.error();
 
@@ -130,7 +130,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
             {"level0_leaves", stats->level0_leaves}, {"entries", stats->entries}, {"matrix_ms", stats->matrix_ms},
             {"solve_ms", stats->solve_ms}, {"solve_iterations", f.options.iterations},
             {"iterations_to_converge", *iterations}, {"draw_ms", draw_ms}, {"bytes_read", s.bytes_read - bytes_before},
-            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure", exposure},
+            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure_stops", *stops},
             {"direct_picture", names.direct}, {"bounce_picture", names.bounce}};
   if (f.options.compare) {
     j["difference_picture"] = names.difference;
@@ -253,11 +253,11 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     figures["solver"] = solver->name();
     figures["radius_m"] = f.radius_m;
     figures["frames"] = json::array();
-    float mean_log = 0;
+    float stops = 0;
     for (int i = 0; i < options.frames; ++i) {
       const double along = options.frames > 1 ? static_cast<double>(i) / (options.frames - 1) : 0;
       const double t = f.camera.start() + along * (f.camera.end() - f.camera.start());
-      auto frame = flyFrame(f, **streamer, updater, i, t, &mean_log);
+      auto frame = flyFrame(f, **streamer, updater, i, t, &stops);
       if (!frame) return frame.error();
       say("frame " + std::to_string(i) + ": " + frame->dump());
       figures["frames"].push_back(std::move(*frame));
