@@ -91,6 +91,8 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
     const float angle = 6.2831853f * static_cast<float>(i) / kRing;
     distance[i] = space.free(best.eye, {std::cos(angle), 0, std::sin(angle)}, extent);
   }
+  const float elbow = std::abs(*std::min_element(distance, distance + kRing, [](float a, float b) { return std::abs(a) < std::abs(b); }));
+  if (elbow < cell) return best;
   for (int i = 0; i < kRing; ++i) {
     float wide = 0;  // over about 60 degrees
     float nearest = extent;
@@ -105,7 +107,7 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
       nearest = std::min(nearest, d);
     }
     if (std::isinf(distance[i]) || lost > 2) continue;
-    const float score = std::sqrt(distance[i] * wide) + 2 * std::min(nearest, 4 * cell);
+    const float score = std::sqrt(distance[i] * wide) + 2 * std::min(nearest, 4 * cell) + std::min(elbow, 3 * cell);
     if (score <= best.score) continue;
     const float angle = 6.2831853f * static_cast<float>(i) / kRing;
     best.direction = {std::cos(angle), 0, std::sin(angle)};

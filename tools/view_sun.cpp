@@ -10,8 +10,8 @@
 namespace ff::view {
 namespace {
 
-constexpr float kTexelsPerCell = 16;
-constexpr double kMostTexels = double{1 << 28};
+constexpr float kTexelsPerCell = 32;
+constexpr double kMostTexels = double{1 << 27};
 constexpr float kBackFaceCells = 0.02f;  // see sun.frag
 
 // m * v + a in column-major form: rows of x, y, z.

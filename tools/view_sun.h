@@ -26,8 +26,8 @@ class SunRaster {
   static Result<SunRaster> create(VkContext& context, uint32_t texels = 2048);
 
   // Per patch: the mean over its surface of max(0, cosine) where the sun is seen, 0..1; times the sun's irradiance that
-  // is the patch's mean direct irradiance. Only front faces receive, all faces block. Texels are at most cell / 16 wide
-  // unless that took more than 2^28 of them.
+  // is the patch's mean direct irradiance. Only front faces receive, all faces block. Texels are at most cell / 32 wide
+  // unless that took more than 2^27 of them.
   Result<std::vector<float>> exposure(const DrawGeometry& geometry, const ViewScene& scene, Vec3 to_sun);
 
   // Draws the depth of what the window holds into `target` (made with shadowFormat(), square).

@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# usage: ffview_town.sh FFSCENE FFBAKE FFVIEW FOLDER : a small town from nothing to pictures, and ffview's exit codes.
+set -euo pipefail
+ffscene=$1 ffbake=$2 ffview=$3 folder=$4
+rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
+fail() { echo "FAILED: $*" >&2; exit 1; }
+expect() {  # expect CODE command...
+  local want=$1 got=0; shift
+  "$@" >out.txt 2>err.txt || got=$?
+  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(cat err.txt)"
+  if [ "$want" != 0 ] && [ "$(wc -l <err.txt)" -gt 12 ]; then fail "more than one clear line: $(cat err.txt)"; fi
+}
+expect 0 "$ffscene" town -o town.glb --patches 2500 --camera camera.json
+expect 0 "$ffbake" town.glb -o town.ffm --patch-size 1 --rays 256 --quiet
+if ! "$ffview" --headless town.ffm -o probe --frames 1 --size 64x48 --no-difference --validate >out.txt 2>err.txt; then
+  if grep -q -e "no Vulkan driver" -e "no usable device" -e "is not installed" err.txt; then
+    echo "SKIPPED, nothing was tested: $(cat err.txt)"; exit 77
+  fi
+  fail "$(cat err.txt)"
+fi
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o pictures --frames 2 --size 160x90 --radius 8 --validate --json
+python3 - out.txt pictures <<'PY'
+import json, os, struct, sys
+figures = json.load(open(sys.argv[1]))
+assert figures == json.load(open(os.path.join(sys.argv[2], "figures.json")))
+assert len(figures["frames"]) == 2
+for f in figures["frames"]:
+    assert f["slots"] > 0 and f["entries"] > 0 and f["solve_ms"] > 0, f
+    for kind in ("direct", "bounce", "difference"):
+        data = open(os.path.join(sys.argv[2], f[kind + "_picture"]), "rb").read()
+        assert data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == (160, 90)
+    # The first key stands in the town: its patches agree with the full solve to the cut's error.
+first = figures["frames"][0]
+assert first["patches_compared"] > 20, first
+assert first["reflected_error_inner"] < 0.03, first
+PY
+cp pictures/town_0000_bounce.png vulkan.png
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o on_cpu --frames 2 --size 160x90 --radius 8 --solver cpu --validate
+expect 1 "$ffview" town.ffm -o x
+expect 1 "$ffview" --headless town.ffm -o x --size 3by4
+expect 1 "$ffview" --headless town.ffm -o x --sun north
+expect 2 "$ffview" --headless absent.ffm -o x
+expect 2 "$ffview" --headless town.ffm -o x --camera absent.json
+expect 2 "$ffview" --headless town.ffm -o x --device "no such device"
+echo nonsense >bad.json
+expect 3 "$ffview" --headless town.ffm -o x --camera bad.json
+head -c 100 town.ffm >cut.ffm
+expect 3 "$ffview" --headless cut.ffm -o x

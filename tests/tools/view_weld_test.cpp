@@ -1,0 +1,88 @@
+#include <gtest/gtest.h>
+
+#include <map>
+#include <set>
+
+#include "tests/tools/view_scenes.h"
+
+namespace ff::view {
+namespace {
+
+// Patches that light any corner of a patch's triangles.
+std::set<uint32_t> lightersOf(const ViewScene& scene, const Weld& weld, uint32_t patch) {
+  std::set<uint32_t> found;
+  for (size_t c = 0; c < scene.corners.size(); ++c) {
+    if (scene.triangle_patch[c / 3] != patch) continue;
+    const VertexPatches& v = weld.light_from[weld.corner_vertex[c]];
+    for (size_t i = 0; i < v.patch.size(); ++i)
+      if (v.weight[i] > 0) found.insert(v.patch[i]);
+  }
+  return found;
+}
+
+TEST(Weld, GivesEveryVertexWeightsThatSumToOne) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 5}, {4, 0, 0}, 5, 4);
+  addSheet(scene, {0, 0, 0}, {0, 3, 0}, {0, 0, 5}, 3, 5);
+  const Weld weld = weldScene(scene);
+  ASSERT_EQ(weld.corner_vertex.size(), scene.corners.size());
+  for (const VertexPatches& v : weld.light_from) {
+    float sum = 0;
+    for (const float w : v.weight) {
+      EXPECT_GE(w, 0);
+      sum += w;
+    }
+    EXPECT_NEAR(sum, 1, 1e-6);
+  }
+}
+
+TEST(Weld, SharesTheVerticesOfASheetAndSplitsThemAtAnEdge) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 5}, {4, 0, 0}, 5, 4);  // floor, 6 x 5 places
+  EXPECT_EQ(weldScene(scene).position.size(), 30u);
+  addSheet(scene, {0, 0, 0}, {0, 3, 0}, {0, 0, 5}, 3, 5);  // wall along x = 0: 4 x 6 places, 6 of them shared in place only
+  const Weld weld = weldScene(scene);
+  EXPECT_EQ(weld.position.size(), 54u);
+  for (const uint32_t lighter : lightersOf(scene, weld, 0)) EXPECT_LT(lighter, 20u);  // floor is lit by floor
+  for (const uint32_t lighter : lightersOf(scene, weld, 20)) EXPECT_GE(lighter, 20u);
+}
+
+// Positions read from two tiles differ by their quantisation.
+TEST(Weld, JoinsCornersThatDifferByQuantisation) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 5}, {4, 0, 0}, 5, 4);
+  addSheet(scene, {4.0001f, 0.0001f, 0}, {0, 0, 5}, {4, 0, 0}, 5, 4);
+  const Weld weld = weldScene(scene);
+  EXPECT_EQ(weld.position.size(), 54u);  // 6 x 9
+  bool across = false;
+  for (uint32_t p = 15; p < 20; ++p)
+    for (const uint32_t lighter : lightersOf(scene, weld, p)) across |= lighter >= 20;
+  EXPECT_TRUE(across);
+}
+
+TEST(Weld, NeverTakesLightFromTheOtherSideOfAThinWall) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {4, 0, 0}, {0, 3, 0}, 4, 3);        // faces +z
+  addSheet(scene, {0, 0, 0}, {0, 3, 0}, {4, 0, 0}, 3, 4);        // the same place, faces -z
+  addSheet(scene, {0, 0, -0.2f}, {4, 0, 0}, {0, 3, 0}, 4, 3);    // faces +z, 0.2 cells behind: another room's wall
+  const Weld weld = weldScene(scene);
+  for (uint32_t p = 0; p < 36; ++p)
+    for (const uint32_t lighter : lightersOf(scene, weld, p)) EXPECT_EQ(lighter / 12, p / 12) << "patch " << p;
+}
+
+TEST(Weld, DoesNotReachFurtherThanATentOfOneAndAHalfCells) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 9}, {9, 0, 0}, 9, 9);
+  const Weld weld = weldScene(scene);
+  for (size_t v = 0; v < weld.position.size(); ++v)
+    for (size_t i = 0; i < 8; ++i)
+      if (weld.light_from[v].weight[i] > 0) {
+        EXPECT_LT(length(scene.patches[weld.light_from[v].patch[i]].centroid - weld.position[v]), 1.5f);
+      }
+  // An inner corner has its four patches at equal weight.
+  const auto lighters = lightersOf(scene, weld, 40);
+  EXPECT_EQ(lighters.size(), 9u);
+}
+
+}  // namespace
+}  // namespace ff::view
