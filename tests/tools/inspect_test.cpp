@@ -1,0 +1,211 @@
+// ffinspect as users run it: exit codes, what it names, what it exports.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "formats/reader.h"
+#include "tests/formats/furnace_world.h"
+#include "tools/world_check.h"
+
+namespace ff::tools {
+namespace {
+
+using namespace ff::formats;
+
+struct Outcome {
+  int code = -1;
+  std::string text;  // stdout and stderr
+};
+
+Outcome inspect(const std::string& arguments) {
+  Outcome run;
+  std::FILE* pipe = ::popen((std::string(FF_INSPECT) + " " + arguments + " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return run;
+  char buffer[4096];
+  for (size_t n = 0; (n = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;) run.text.append(buffer, n);
+  const int status = ::pclose(pipe);
+  run.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return run;
+}
+
+class Inspect : public testing::Test {
+ protected:
+  void SetUp() override { write(makeFurnaceWorld(300)); }
+  void write(const RandomWorld& w) {
+    const auto ok = writeWorld(w, world(), 1 << 28);
+    ASSERT_TRUE(ok) << ok.error().line();
+  }
+  std::string world() const { return folder_.file("f.ffm"); }
+  TemporaryFolder folder_;
+};
+
+TEST_F(Inspect, VerifiesABalancedWorld) {
+  const Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 0) << run.text;
+  EXPECT_NE(run.text.find("\nok\n"), std::string::npos) << run.text;
+}
+
+TEST_F(Inspect, ComparesEveryPairOnce) {
+  auto w = World::open(world());
+  ASSERT_TRUE(w);
+  for (const int threads : {1, 3}) {
+    const WorldCheck check = checkWorld(*w, threads, nullptr);
+    EXPECT_TRUE(check.corrupt.empty() && check.unphysical.empty());
+    // 300 patches without their own pairs; 150 clusters with them.
+    EXPECT_EQ(check.pairs, 300u * 299 / 2 + 150u * 151 / 2);
+    EXPECT_EQ(check.entries, 300u * 299 + 150u * 150);
+    EXPECT_EQ(check.worst_area, 0);
+  }
+}
+
+TEST_F(Inspect, NamesStripAndOffsetOfAChangedByte) {
+  auto w = World::open(world());
+  ASSERT_TRUE(w);
+  const TileInfo tile = w->tiles(0)[1];
+  std::vector<std::byte> bytes = readFile(folder_.file("f.0000.ffs"));
+  bytes[tile.offset + tile.stored_bytes / 2] ^= std::byte{1};
+  writeFile(folder_.file("f.0000.ffs"), bytes);
+  const Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 3) << run.text;
+  EXPECT_NE(run.text.find("strip 0:1 at offset " + std::to_string(tile.offset)), std::string::npos) << run.text;
+  EXPECT_EQ(run.text.find("strip 0:0"), std::string::npos) << run.text;  // only that one
+  EXPECT_EQ(inspect("verify --json " + world()).code, 3);
+  EXPECT_EQ(inspect("row " + world() + " 0 5").code, 0);    // other strips can still be looked at
+  EXPECT_EQ(inspect("row " + world() + " 0 299").code, 3);
+}
+
+// Row 280 gives ten of its quanta for patch 7 to patch 8: closed, in order, and wrong. Each pair of the two loses
+// reciprocity: 1 and 11 of 299 quanta are further apart than the one quantum a row that sampling allows.
+TEST_F(Inspect, FindsARowThatContradictsItsPartner) {
+  RandomWorld w = makeFurnaceWorld(300);
+  Strip& s = w.strips[0][1];
+  size_t e = 0;
+  while (!(s.rows[e] == 280 - 256 && s.columns[e] == 8)) ++e;
+  s.counts[e] = 11;
+  size_t removed = 0;
+  for (size_t k = s.blocks[0].entries; removed < 10;)  // block of partner tile 1
+    if (s.rows[k] == 280 - 256) {
+      s.rows.erase(s.rows.begin() + static_cast<std::ptrdiff_t>(k));
+      s.columns.erase(s.columns.begin() + static_cast<std::ptrdiff_t>(k));
+      s.counts.erase(s.counts.begin() + static_cast<std::ptrdiff_t>(k));
+      --s.blocks[1].entries;
+      ++removed;
+    } else {
+      ++k;
+    }
+  write(w);
+  const Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4) << run.text;
+  EXPECT_NE(run.text.find("nodes 8 and 280 disagree"), std::string::npos) << run.text;
+  const Outcome pair = inspect("pair --json " + world() + " 0 280 8");
+  EXPECT_EQ(pair.code, 0);
+  const auto json = nlohmann::json::parse(pair.text);
+  EXPECT_EQ(json["count_ij"], 11);
+  EXPECT_EQ(json["count_ji"], 1);
+  EXPECT_GT(json["of_allowed"], 1.0);
+  // The whole slack that the world admits to is granted: 11 : 1 is within 100 % of row scaling.
+  w.info.row_total_deviation = 1;
+  write(w);
+  EXPECT_EQ(inspect("verify " + world()).code, 0);
+}
+
+// The other direction: an entry that nothing answers, below and above the diagonal of one tile and between two.
+TEST_F(Inspect, FindsAnEntryThatNothingAnswers) {
+  for (const auto& [tile, row, column_tile, column] :
+       {std::array<uint32_t, 4>{0, 9, 0, 4}, {0, 4, 0, 9}, {0, 4, 1, 9}, {1, 9, 0, 4}}) {
+    RandomWorld w = makeFurnaceWorld(300);
+    Strip& s = w.strips[0][tile];
+    size_t e = column_tile == 0 ? 0 : s.blocks[0].entries;
+    while (!(s.rows[e] == row && s.columns[e] == column)) ++e;
+    s.counts[e] = 5;
+    s.nodes[row].quanta += 4;
+    write(w);
+    const Outcome run = inspect("verify " + world());
+    EXPECT_EQ(run.code, 4) << run.text;
+    EXPECT_NE(run.text.find("disagree"), std::string::npos) << run.text;
+  }
+}
+
+TEST_F(Inspect, FindsAPyramidThatDoesNotAddUp) {
+  RandomWorld w = makeFurnaceWorld(300);
+  w.strips[1][0].nodes[17].area_m2 = 2.001f;
+  write(w);
+  Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4) << run.text;
+  EXPECT_NE(run.text.find("strip 1:0"), std::string::npos) << run.text;
+  EXPECT_NE(run.text.find("node 17: area"), std::string::npos) << run.text;
+  w = makeFurnaceWorld(300);
+  w.strips[0][1].nodes[2].emission = {0, 0, 1};
+  write(w);
+  run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4) << run.text;
+  EXPECT_NE(run.text.find("node 129: emission"), std::string::npos) << run.text;
+}
+
+TEST_F(Inspect, PrintsJsonThatParses) {
+  for (const char* command : {"info %", "stats %", "verify %", "row % 0 299", "row % 1 3", "tile % 0 1", "pair % 1 3 3",
+                              "locate % 1 2 3", "locate % -5 2 3"}) {
+    std::string arguments = command;
+    arguments.replace(arguments.find('%'), 1, world());
+    const Outcome run = inspect(arguments + " --json");
+    EXPECT_EQ(run.code, 0) << command << run.text;
+    EXPECT_TRUE(nlohmann::json::accept(run.text)) << command << run.text;
+    EXPECT_EQ(inspect(arguments).code, 0) << command;
+  }
+  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 0 299").text);
+  EXPECT_EQ(row["entries"].size(), 299u);
+  EXPECT_EQ(row["entries"][0]["column"], 0);
+  EXPECT_EQ(row["parent"], 149);
+  EXPECT_EQ(nlohmann::json::parse(inspect("locate --json " + world() + " 3 0 0").text)["node"], 3);
+}
+
+TEST_F(Inspect, ExportsRowsAndPatches) {
+  const std::string to = folder_.file("out");
+  ASSERT_EQ(inspect("export " + world() + " --what rows --level 1 --format mtx -o " + to).code, 0);
+  const std::vector<std::byte> mtx = readFile(to);
+  std::istringstream in(std::string(reinterpret_cast<const char*>(mtx.data()), mtx.size()));
+  std::string line;
+  std::getline(in, line);
+  EXPECT_EQ(line, "%%MatrixMarket matrix coordinate real general");
+  std::getline(in, line);
+  uint32_t rows = 0, columns = 0, entries = 0, read = 0;
+  in >> rows >> columns >> entries;
+  EXPECT_EQ(rows, 150u);
+  EXPECT_EQ(columns, 150u);
+  EXPECT_EQ(entries, 150u * 150);
+  std::vector<double> sums(rows + 1);
+  double f = 0;
+  for (uint32_t i = 0, j = 0; in >> i >> j >> f; ++read) sums.at(i) += f;
+  EXPECT_EQ(read, entries);
+  for (uint32_t i = 1; i <= rows; ++i) EXPECT_NEAR(sums[i], 1, 150 * 1e-9);  // nine digits are printed
+
+  ASSERT_EQ(inspect("export " + world() + " --what patches --format npy -o " + to).code, 0);
+  const std::vector<std::byte> npy = readFile(to);
+  const size_t header = 10 + std::to_integer<size_t>(npy[8]) + 256 * std::to_integer<size_t>(npy[9]);
+  EXPECT_EQ(header % 64, 0u);
+  EXPECT_EQ(npy.size() - header, 300u * 80);
+  ASSERT_EQ(inspect("export " + world() + " --what rows --format npy -o " + to).code, 0);
+  ASSERT_EQ(inspect("export " + world() + " --what patches --format ply -o " + to).code, 0);
+  EXPECT_EQ(inspect("export " + world() + " --what rows --format ply -o " + to).code, 1);
+  EXPECT_EQ(inspect("export " + world() + " --what rows --format mtx -o " + folder_.file("absent/x")).code, 2);
+}
+
+TEST_F(Inspect, UsesTheExitCodesOfAllTools) {
+  EXPECT_EQ(inspect("--help").code, 0);
+  EXPECT_EQ(inspect("--version").code, 0);
+  EXPECT_EQ(inspect("").code, 1);
+  EXPECT_EQ(inspect("verify").code, 1);
+  EXPECT_EQ(inspect("frobnicate " + world()).code, 1);
+  EXPECT_EQ(inspect("row " + world() + " 0 300").code, 1);
+  EXPECT_EQ(inspect("row " + world() + " 2 0").code, 1);
+  EXPECT_EQ(inspect("tile " + world() + " 0 2").code, 1);
+  EXPECT_EQ(inspect("info " + folder_.file("absent.ffm")).code, 2);
+  writeFile(folder_.file("bad.ffm"), std::vector<std::byte>(200));
+  EXPECT_EQ(inspect("info " + folder_.file("bad.ffm")).code, 3);
+}
+
+}  // namespace
+}  // namespace ff::tools
