@@ -10,7 +10,7 @@ void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double of
   out.count.clear();
   double sum = row.sky_m2 + row.absorbed_m2;
   for (double x : row.area_m2) sum += x;
-  out.total = sum / static_cast<double>(area_m2);
+  out.total = sum > 0 ? sum / static_cast<double>(area_m2) : 1;  // a row without exchange has nothing to scale
   if (!(sum > 0)) {
     out.sky = 0;
     out.absorbed = quanta;
