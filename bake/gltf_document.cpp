@@ -200,7 +200,7 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
     std::vector<AccessorFacts> accessors;
     reduced["accessors"] = reduceAccessors(file, storage, accessors);
     reduced["textures"] = reduceTextures(file, storage.views.size(), out.images, reduced["samplers"]);
-    reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), warnings);
+    reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), budget, warnings);
     reduced["meshes"] = reduceMeshes(file, accessors, reduced["materials"].size(), storage.views.size(), warnings);
     reduced["nodes"] = reduceNodes(file, accessors, reduced["meshes"].size(), out.roots);
     out.buffer_present = storage.present;

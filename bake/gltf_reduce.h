@@ -30,7 +30,7 @@ struct Storage {
 
 Json reduceAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
 // texture_count and material warnings: see gltf_document.h for what materials look like afterwards.
-Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::string>& warnings);
+Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<std::string>& warnings);
 Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                   size_t view_count, std::vector<std::string>& warnings);
 Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,

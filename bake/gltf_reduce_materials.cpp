@@ -6,6 +6,7 @@
 namespace ff::bake::gltf {
 namespace {
 
+constexpr uint64_t kMaterialBytes = 6000;  // reduced and as tinygltf's structures: measured with 50,000
 constexpr uint64_t kMostTexCoords = 64;
 constexpr double kLargestEmission = 1e20;  // keeps products with areas within float
 
@@ -59,11 +60,12 @@ std::vector<double> factor(const Item& item, const char* key, size_t count, doub
 
 }  // namespace
 
-Json reduceMaterials(const Item& file, size_t texture_count, std::vector<std::string>& warnings) {
+Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<std::string>& warnings) {
   Warner warn(warnings);
   bool blend_said = false, transmission_said = false;
   Json out = Json::array();
   for (const Item& item : file.items("materials", "material")) {
+    budget.take(kMaterialBytes, item.place());
     Json pbr = {{"metallicFactor", 1.0}};
     std::vector<double> base(4, 1.0);
     std::optional<Json> base_texture;

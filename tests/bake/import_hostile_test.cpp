@@ -180,6 +180,18 @@ TEST(ImportHostile, CountsWithoutBytesBehindThemStayWithinTheMemoryLimit) {
   EXPECT_LT(usage.ru_maxrss >> 10, 2048) << "MiB of this process, at its peak";
 }
 
+TEST(ImportHostile, AShortFileOfMillionsOfObjectsIsRefusedBeforeTheyAreBuilt) {
+  const TempFolder folder;
+  for (const char* kind : {"nodes", "materials", "textures"}) {
+    std::string text = std::string("{\"asset\": {\"version\": \"2.0\"}, \"") + kind + "\": [{}";
+    for (int i = 0; i < 3000000; ++i) text += ",{}";
+    EXPECT_NE(importBad(folder.write("many.gltf", text + "]}")).find("MiB"), std::string::npos) << kind;
+  }
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  EXPECT_LT(usage.ru_maxrss >> 10, 2048) << "MiB of this process, at its peak";
+}
+
 TEST(ImportHostile, ManyInstancesOfAMeshAreHeldToTheLimits) {
   const TempFolder folder;
   GltfFile file;
