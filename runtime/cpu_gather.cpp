@@ -48,8 +48,13 @@ class CpuGather final : public Solver {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = std::chrono::steady_clock::now();
     for (int i = 0; i < k; ++i) {
-      const GatherJob job{matrix_->row_start.data(), matrix_->entries.data(), leaves_.data(), reflectance_.data(),
-                          source_.data(),            from_.data(),            to_.data()};
+      const GatherJob job{matrix_->row_start.data(),
+                          matrix_->entries.data(),
+                          leaves_.data(),
+                          reflectance_.data(),
+                          source_.data(),
+                          from_.data(),
+                          to_.data()};
       pool_.run(static_cast<uint32_t>(parts_.size() - 1),
                 [&](uint32_t part) { kernel_(job, parts_[part], parts_[part + 1]); });
       refine();
@@ -91,8 +96,8 @@ class CpuGather final : public Solver {
       double total = 0;
       for (uint32_t c = 0; c < refined.children; ++c) total += static_cast<double>(area[c]);
       for (uint32_t c = 0; c < refined.children; ++c)
-        child_weight_[refined.first_child + c] =
-            total > 0 ? static_cast<float>(static_cast<double>(area[c]) / total) : 1.0f / static_cast<float>(refined.children);
+        child_weight_[refined.first_child + c] = total > 0 ? static_cast<float>(static_cast<double>(area[c]) / total)
+                                                           : 1.0f / static_cast<float>(refined.children);
     }
   }
 
@@ -113,9 +118,9 @@ class CpuGather final : public Solver {
   GatherKernel kernel_ = gatherPortable;
   std::shared_ptr<const LocalMatrix> matrix_;
   std::vector<Vec4> reflectance_, source_, from_, to_;
-  std::vector<float> child_weight_;   // per slot: its area over its parent's children's
-  std::vector<uint32_t> leaves_;      // slots with rows
-  std::vector<uint32_t> parts_;       // ranges of leaves_ of about kPartEntries entries
+  std::vector<float> child_weight_;  // per slot: its area over its parent's children's
+  std::vector<uint32_t> leaves_;     // slots with rows
+  std::vector<uint32_t> parts_;      // ranges of leaves_ of about kPartEntries entries
   double last_ms_ = 0;
 };
 

@@ -10,7 +10,7 @@ namespace ff::runtime {
 struct FullSolveSettings {
   double tolerance = 1e-9;  // largest change of an iteration over the largest radiosity
   int max_iterations = 2000;
-  int threads = 0;          // 0 = all cores; the result does not depend on it
+  int threads = 0;  // 0 = all cores; the result does not depend on it
 };
 
 struct FullSolution {

@@ -12,11 +12,11 @@ namespace ff::runtime {
 struct GatherJob {
   const uint32_t* row_start = nullptr;  // per slot
   const uint32_t* entries = nullptr;
-  const uint32_t* leaves = nullptr;     // slots to compute
-  const Vec4* reflectance = nullptr;    // per slot: albedo * row_scale
-  const Vec4* source = nullptr;         // per slot
-  const Vec4* from = nullptr;           // per slot; w is 0
-  Vec4* to = nullptr;                   // per slot; must not overlap `from`
+  const uint32_t* leaves = nullptr;   // slots to compute
+  const Vec4* reflectance = nullptr;  // per slot: albedo * row_scale
+  const Vec4* source = nullptr;       // per slot
+  const Vec4* from = nullptr;         // per slot; w is 0
+  Vec4* to = nullptr;                 // per slot; must not overlap `from`
 };
 
 // to[s] = source[s] + reflectance[s] * sum of count * from[column], for s in leaves[begin..end).

@@ -19,12 +19,14 @@ class RowBuilder {
 
   // Appends the rows of all nodes of the strip; refined slots get empty ones.
   void add(const formats::Strip& strip, uint32_t first_slot) {
-    const bool any_leaf = std::any_of(matrix_.leaf.begin() + first_slot,
-                                      matrix_.leaf.begin() + first_slot + static_cast<std::ptrdiff_t>(strip.nodes.size()),
-                                      [](uint8_t leaf) { return leaf != 0; });
+    const bool any_leaf =
+        std::any_of(matrix_.leaf.begin() + first_slot,
+                    matrix_.leaf.begin() + first_slot + static_cast<std::ptrdiff_t>(strip.nodes.size()),
+                    [](uint8_t leaf) { return leaf != 0; });
     if (any_leaf) sortByRow(strip);
     for (size_t i = 0; i < strip.nodes.size(); ++i) {
-      if (matrix_.leaf[first_slot + i]) appendMerged({by_row_.data() + row_start_[i], row_start_[i + 1] - row_start_[i]});
+      if (matrix_.leaf[first_slot + i])
+        appendMerged({by_row_.data() + row_start_[i], row_start_[i + 1] - row_start_[i]});
       matrix_.row_start.push_back(size_);
     }
   }
@@ -103,9 +105,10 @@ void listRefined(const formats::World& world, LocalMatrix& matrix) {
 }  // namespace
 
 uint32_t LocalMatrix::slotOf(uint32_t level, uint32_t node) const {
-  auto after = std::upper_bound(tiles.begin(), tiles.end(), std::pair{level, node}, [](const auto& key, const SlotRange& r) {
-    return key.first != r.id.level ? key.first < r.id.level : key.second < r.first_node;
-  });
+  auto after =
+      std::upper_bound(tiles.begin(), tiles.end(), std::pair{level, node}, [](const auto& key, const SlotRange& r) {
+        return key.first != r.id.level ? key.first < r.id.level : key.second < r.first_node;
+      });
   if (after == tiles.begin()) return kNoSlot;
   const SlotRange& range = *--after;
   if (range.id.level != level || node - range.first_node >= range.nodes) return kNoSlot;
@@ -125,8 +128,9 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, Strips active,
   }
   const uint32_t ambient = pyramid ? kNoSlot : static_cast<uint32_t>(slots++);
   if (slots > kMaxSlots)
-    return Error{ErrorCode::kUsage, world.path(), "", std::to_string(slots) + " nodes in the cut, at most " +
-                 std::to_string(kMaxSlots) + " have a slot", "lower the radius or max_nodes"};
+    return Error{ErrorCode::kUsage, world.path(), "",
+                 std::to_string(slots) + " nodes in the cut, at most " + std::to_string(kMaxSlots) + " have a slot",
+                 "lower the radius or max_nodes"};
 
   matrix.leaf.assign(slots, 1);
   PageTable pages(world, matrix.tiles, ambient);
@@ -161,7 +165,8 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, Strips active,
   const bool orphan = std::any_of(matrix.refined.begin(), matrix.refined.end(),
                                   [](const LocalMatrix::Refined& r) { return r.slot == kNoSlot; });
   if (pages.incomplete() || orphan)
-    return Error{ErrorCode::kUsage, world.path(), "", "the active tiles are not a cut: some node has no active ancestor",
+    return Error{ErrorCode::kUsage, world.path(), "",
+                 "the active tiles are not a cut: some node has no active ancestor",
                  "pass all tiles of the top level and the ancestors of every active tile"};
   return matrix;
 }

@@ -1,9 +1,9 @@
 // The local matrix: form factors among the nodes of the cut, resolved through the page table.
 //
-// Every node of an active tile has a slot. A slot is a *leaf* (its children are not active: it is a node of the cut, and
-// its own level's row lights it) or *refined* (its radiosity is the area-weighted mean of its children's). A column node
-// J of a row resolves to J's slot if J's tile is active, else to the slot of its nearest active ancestor. So strips are
-// never rewritten when the cut changes, and the matrix is a function of the cut alone.
+// Every node of an active tile has a slot. A slot is a *leaf* (its children are not active: it is a node of the cut,
+// and its own level's row lights it) or *refined* (its radiosity is the area-weighted mean of its children's). A column
+// node J of a row resolves to J's slot if J's tile is active, else to the slot of its nearest active ancestor. So
+// strips are never rewritten when the cut changes, and the matrix is a function of the cut alone.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -31,18 +31,18 @@ struct SlotRange {
 struct LocalMatrix {
   std::vector<SlotRange> tiles;
   // CSR over slots; refined slots have empty rows. entry = column slot << 16 | count; F = count * row_scale[row].
-  std::vector<uint32_t> row_start;     // slots + 1
+  std::vector<uint32_t> row_start;  // slots + 1
   std::vector<uint32_t> entries;
-  std::vector<float> row_scale;        // 1 / Q
+  std::vector<float> row_scale;  // 1 / Q
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
   struct Refined {
     uint32_t slot, first_child, children;  // children are consecutive slots
   };
   std::vector<Refined> refined;
   std::vector<uint32_t> refined_level_start;  // ranges of `refined` that may be done in parallel; last = refined.size()
-  std::vector<Vec4> albedo;            // per slot, rgb and 0
-  std::vector<float> area_m2;          // per slot
-  std::vector<uint8_t> leaf;           // per slot
+  std::vector<Vec4> albedo;                   // per slot, rgb and 0
+  std::vector<float> area_m2;                 // per slot
+  std::vector<uint8_t> leaf;                  // per slot
 
   uint32_t slots() const { return static_cast<uint32_t>(albedo.size()); }
   // Slot of a node, kNoSlot if its tile is not active. O(log tiles).

@@ -13,7 +13,8 @@ Result<std::vector<float>> patchAreas(const formats::World& world) {
   return areas;
 }
 
-NodeValues aggregateUp(const formats::World& world, std::span<const float> patch_areas_m2, std::span<const Vec3> per_patch) {
+NodeValues aggregateUp(const formats::World& world, std::span<const float> patch_areas_m2,
+                       std::span<const Vec3> per_patch) {
   FF_CHECK_EQ(patch_areas_m2.size(), size_t{world.levels()[0].nodes});
   FF_CHECK_EQ(per_patch.size(), patch_areas_m2.size());
   NodeValues values;

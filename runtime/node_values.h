@@ -22,6 +22,7 @@ struct NodeValues {
 Result<std::vector<float>> patchAreas(const formats::World& world);
 
 // per_patch: one per level-0 node, any linear quantity per area (irradiance, radiosity).
-NodeValues aggregateUp(const formats::World& world, std::span<const float> patch_areas_m2, std::span<const Vec3> per_patch);
+NodeValues aggregateUp(const formats::World& world, std::span<const float> patch_areas_m2,
+                       std::span<const Vec3> per_patch);
 
 }  // namespace ff::runtime

@@ -1,6 +1,6 @@
-// From a column (level, tile, index) to the slot that stands for it in the cut: the node itself where its tile is active,
-// else its nearest active ancestor. As in virtual texturing, strips keep their own numbers and only this table follows
-// the cut. Pages (256 slots, one tile's columns) are filled when they are first asked for.
+// From a column (level, tile, index) to the slot that stands for it in the cut: the node itself where its tile is
+// active, else its nearest active ancestor. As in virtual texturing, strips keep their own numbers and only this table
+// follows the cut. Pages (256 slots, one tile's columns) are filled when they are first asked for.
 #pragma once
 #include <array>
 #include <cstdint>

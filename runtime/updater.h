@@ -38,12 +38,13 @@ class Updater {
   // Runs one frame. iterations: k. Radiosity carries over from the last frame by node, so light lags by at most a few
   // frames after a change of the cut.
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations);
-  // Iterates until the largest change of any channel is below `tolerance` times the largest radiosity, or max_iterations.
+  // Iterates until the largest change of any channel is below `tolerance` times the largest radiosity, or
+  // max_iterations.
   Result<int> converge(float tolerance, int max_iterations);
 
-  const LocalMatrix& matrix() const;        // of the last frame
-  std::span<const Vec4> source() const;     // M per slot, W/m2
-  std::span<const Vec4> direct() const;     // emission + albedo * direct irradiance (no sky, no bounces), W/m2
+  const LocalMatrix& matrix() const;     // of the last frame
+  std::span<const Vec4> source() const;  // M per slot, W/m2
+  std::span<const Vec4> direct() const;  // emission + albedo * direct irradiance (no sky, no bounces), W/m2
   Result<void> radiosity(std::span<Vec4> out);
 
  private:
@@ -58,10 +59,10 @@ class Updater {
   DirectLight direct_light_;
   std::vector<stream::StripPtr> strips_;  // that matrix_ was built from
   std::shared_ptr<const LocalMatrix> matrix_;
-  std::vector<Vec4> source_, direct_;      // per slot
-  std::vector<Vec3> direct_irradiance_;    // per slot, W/m2
-  std::vector<Vec4> radiosity_, before_;   // per slot; scratch of changeMatrix() and converge()
-  FrameStats counts_;                      // of the matrix
+  std::vector<Vec4> source_, direct_;     // per slot
+  std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
+  std::vector<Vec4> radiosity_, before_;  // per slot; scratch of changeMatrix() and converge()
+  FrameStats counts_;                     // of the matrix
   bool sky_changed_ = false, light_changed_ = false;
 };
 

@@ -50,7 +50,8 @@ void WorkerPool::runErased(uint32_t parts, Call call, void* task) {
   generation_.fetch_add(1, std::memory_order_release);
   generation_.notify_all();
   takeParts();
-  // Every worker reports, also those that found nothing left: none may still look at this task when the next one is set.
+  // Every worker reports, also those that found nothing left: none may still look at this task when the next one is
+  // set.
   for (uint32_t busy; (busy = busy_.load(std::memory_order_acquire)) != 0;) awaitChange(busy_, busy);
 }
 

@@ -19,10 +19,12 @@ class WorkerPool {
   int threads() const { return static_cast<int>(workers_.size()) + 1; }
 
   // Calls task(0) .. task(parts - 1), each once, on any of the threads; returns when all are done. Which thread takes
-  // which part changes from run to run: a task whose parts write disjoint results is deterministic. One caller at a time.
+  // which part changes from run to run: a task whose parts write disjoint results is deterministic. One caller at a
+  // time.
   template <class Task>
   void run(uint32_t parts, Task&& task) {
-    runErased(parts, [](void* t, uint32_t part) { (*static_cast<std::remove_reference_t<Task>*>(t))(part); }, &task);
+    runErased(
+        parts, [](void* t, uint32_t part) { (*static_cast<std::remove_reference_t<Task>*>(t))(part); }, &task);
   }
 
  private:

@@ -33,9 +33,11 @@ class FileRequest {
 
   Result<std::vector<std::byte>> take() {
     if (failure_ == 0) return std::move(bytes_);
-    return Error{ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()),
-                 failure_ == kEndOfFile ? "the shard ends within a strip" : std::string("read: ") + std::strerror(failure_),
-                 failure_ == kEndOfFile ? "the file was truncated after it was opened; bake or copy it again" : "check the disk"};
+    return Error{
+        ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()),
+        failure_ == kEndOfFile ? "the shard ends within a strip" : std::string("read: ") + std::strerror(failure_),
+        failure_ == kEndOfFile ? "the file was truncated after it was opened; bake or copy it again"
+                               : "check the disk"};
   }
 
  private:

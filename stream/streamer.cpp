@@ -168,8 +168,8 @@ class StreamerImpl final : public Streamer {
   TileCache cache_;
   Vec3 observer_, velocity_;
   bool started_ = false;
-  std::vector<TileId> previous_;  // wanted by the last walk, sorted
-  std::map<TileId, int> failures_;  // of wanted tiles; 2: given up
+  std::vector<TileId> previous_;                    // wanted by the last walk, sorted
+  std::map<TileId, int> failures_;                  // of wanted tiles; 2: given up
   std::vector<std::vector<uint32_t>> last_active_;  // [level][tile]: the last round in which it was active
   uint32_t round_ = 0;
   std::vector<StripPtr> active_, next_active_;
@@ -183,8 +183,10 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
   const auto refuse = [&](const std::string& what, const char* remedy) {
     return Error{ErrorCode::kUsage, world.path(), "", what, remedy};
   };
-  if (!(s.radius_m > 0) || !std::isfinite(s.radius_m)) return refuse("radius_m is not positive", "give metres, such as 24");
-  if (!(s.growth >= 1) || !std::isfinite(s.growth)) return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
+  if (!(s.radius_m > 0) || !std::isfinite(s.radius_m))
+    return refuse("radius_m is not positive", "give metres, such as 24");
+  if (!(s.growth >= 1) || !std::isfinite(s.growth))
+    return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
   if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
   uint64_t nodes = 0, bytes = 0;
@@ -193,11 +195,13 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
     bytes += decodedBytesBound(world, info);
   }
   if (nodes > s.max_nodes)
-    return refuse("the top level alone has " + std::to_string(nodes) + " nodes, max_nodes is " + std::to_string(s.max_nodes),
-                  "raise max_nodes");
+    return refuse(
+        "the top level alone has " + std::to_string(nodes) + " nodes, max_nodes is " + std::to_string(s.max_nodes),
+        "raise max_nodes");
   if (bytes > s.memory_bytes)
     return refuse("the top level alone takes " + std::to_string(bytes) + " bytes, memory_bytes is " +
-                  std::to_string(s.memory_bytes), "raise memory_bytes");
+                      std::to_string(s.memory_bytes),
+                  "raise memory_bytes");
   return {};
 }
 

@@ -13,9 +13,9 @@
 namespace ff::stream {
 
 struct StreamSettings {
-  float radius_m = 24;             // r_0: a level-0 tile is wanted when its bounds are nearer than this
-  float growth = 1.6f;             // g: r_l = r_0 * g^l
-  float hysteresis = 1.15f;        // a tile stays wanted until its distance exceeds radius * hysteresis
+  float radius_m = 24;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
+  float growth = 1.6f;                          // g: r_l = r_0 * g^l
+  float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint32_t max_level0_nodes = 0xffffffffu;      // likewise, for active patches
   uint32_t max_nodes = 65536;                   // of all wanted tiles together: slots are 16 bits

@@ -105,7 +105,8 @@ void StripLoader::decode() {
     {
       std::unique_lock lock(mutex_);
       to_decode_changed_.wait(lock, [this] {
-        return stop_ || !to_decode_.empty() || (!queue_.empty() && under_way_.size() < depth_ && arrived_.size() < 4 * depth_);
+        return stop_ || !to_decode_.empty() ||
+               (!queue_.empty() && under_way_.size() < depth_ && arrived_.size() < 4 * depth_);
       });
       if (stop_) return;
       if (!to_decode_.empty()) {

@@ -1,5 +1,6 @@
-// The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, and decodes them on its
-// own threads. The owner (one thread) sets the queue and takes what has arrived; both only ever wait for a swap of lists.
+// The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, and decodes them on
+// its own threads. The owner (one thread) sets the queue and takes what has arrived; both only ever wait for a swap of
+// lists.
 #pragma once
 #include <atomic>
 #include <condition_variable>
@@ -61,12 +62,12 @@ class StripLoader {
   const size_t depth_;
   mutable std::mutex mutex_;
   std::condition_variable to_decode_changed_, progress_;
-  std::vector<formats::TileId> queue_;        // the most urgent last
-  std::set<formats::TileId> under_way_;       // being read, waiting for a decoder or being decoded
+  std::vector<formats::TileId> queue_;   // the most urgent last
+  std::set<formats::TileId> under_way_;  // being read, waiting for a decoder or being decoded
   std::deque<Stored> to_decode_;
   std::vector<Arrival> arrived_;
   std::atomic<uint32_t> arrived_count_{0};
-  uint32_t reads_ = 0;                        // callbacks still to come
+  uint32_t reads_ = 0;  // callbacks still to come
   bool stop_ = false;
   std::vector<std::thread> threads_;
 };

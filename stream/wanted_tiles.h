@@ -1,4 +1,5 @@
-// Which tiles the observer wants: a best-first walk down the hierarchy that visits only what it admits and its children.
+// Which tiles the observer wants: a best-first walk down the hierarchy that visits only what it admits and its
+// children.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -19,8 +20,9 @@ std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, formats::
 
 // The wanted set. The top level is always wanted; another tile when the tiles of all its nodes' parents are and its
 // bounds are within its level's radius of the observer (times hysteresis if the walk before wanted it).
-// Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget that
-// runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level 0.
+// Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget
+// that runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level
+// 0.
 class WantedTiles {
  public:
   WantedTiles(const formats::World& world, const StreamSettings& settings);

@@ -54,13 +54,15 @@ TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
         size_t k = 0;
         for (const formats::Block& block : strip->blocks)
           for (const size_t end = k + block.entries; k < end; ++k) {
-            const uint32_t column = test.world().tiles(strip->id.level)[block.partner_tile].first_node + strip->columns[k];
+            const uint32_t column =
+                test.world().tiles(strip->id.level)[block.partner_tile].first_node + strip->columns[k];
             expected[strip->rows[k]][resolveByWalking(test, matrix, strip->id.level, column)] += strip->counts[k];
           }
         for (size_t i = 0; i < strip->nodes.size(); ++i, ++slot) {
           std::map<uint32_t, uint32_t> row;
           for (uint32_t e = matrix.row_start[slot]; e < matrix.row_start[slot + 1]; ++e)
-            ASSERT_TRUE(row.emplace(matrix.entries[e] >> 16, matrix.entries[e] & 0xffff).second) << "a slot appears twice";
+            ASSERT_TRUE(row.emplace(matrix.entries[e] >> 16, matrix.entries[e] & 0xffff).second)
+                << "a slot appears twice";
           if (!matrix.leaf[slot]) expected[i].clear();
           ASSERT_EQ(row, expected[i]) << "slot " << slot;
           ASSERT_EQ(matrix.row_scale[slot], 1.0f / static_cast<float>(strip->nodes[i].quanta));

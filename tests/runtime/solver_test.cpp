@@ -1,9 +1,10 @@
+#include "runtime/solver.h"
+
 #include <cmath>
 
 #include "runtime/full_solve.h"
 #include "runtime/gather_kernels.h"
 #include "runtime/node_values.h"
-#include "runtime/solver.h"
 #include "runtime/worker_pool.h"
 #include "tests/runtime/test_world.h"
 
@@ -81,8 +82,8 @@ std::vector<std::array<double, 3>> naive(const TestWorld& test, const Cut& cut, 
 }
 
 // fp32 rounding. A sum of n products of non-negative terms errs by at most about n * 2^-24 of itself; rows here have at
-// most 150 entries, and the error of the radiosities that enter is damped by albedo <= 0.9 in each iteration, so that it
-// adds up to at most 1 / (1 - 0.9) times one iteration's: 150 * 2^-24 * 10 < 1e-4. Random signs make it far smaller.
+// most 150 entries, and the error of the radiosities that enter is damped by albedo <= 0.9 in each iteration, so that
+// it adds up to at most 1 / (1 - 0.9) times one iteration's: 150 * 2^-24 * 10 < 1e-4. Random signs make it far smaller.
 constexpr double kRoundingTolerance = 1e-4;
 
 void expectNear(std::span<const Vec4> got, std::span<const std::array<double, 3>> expected, double tolerance) {
@@ -139,8 +140,13 @@ TEST(CpuGather, VectorAndPortableKernelsAgree) {
   for (uint32_t s = 0; s < matrix->slots(); ++s)
     if (matrix->leaf[s]) leaves.push_back(s);
   std::vector<Vec4> a(matrix->slots()), b(matrix->slots());
-  GatherJob job{matrix->row_start.data(), matrix->entries.data(), leaves.data(), matrix->albedo.data(),
-                source.data(),            from.data(),            a.data()};
+  GatherJob job{matrix->row_start.data(),
+                matrix->entries.data(),
+                leaves.data(),
+                matrix->albedo.data(),
+                source.data(),
+                from.data(),
+                a.data()};
   const auto count = static_cast<uint32_t>(leaves.size());
   gatherPortable(job, 0, count);
   job.to = b.data();

@@ -1,7 +1,8 @@
+#include "runtime/updater.h"
+
 #include <cmath>
 
 #include "runtime/full_solve.h"
-#include "runtime/updater.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {
@@ -53,9 +54,13 @@ TEST(Updater, SourceIsEmissionAndReflectedSkyAndDirectLight) {
                           (kSky.l0[c] + dot(kSky.l1[c], node.sky_direction));
         const float expected_direct = node.emission[c] + node.albedo[c] * direct[c];
         const float expected = expected_direct + node.albedo[c] * sky;
-        const Vec4 got = walker.updater.source()[range.first_slot + i], got_direct = walker.updater.direct()[range.first_slot + i];
+        const Vec4 got = walker.updater.source()[range.first_slot + i],
+                   got_direct = walker.updater.direct()[range.first_slot + i];
         ASSERT_NEAR(c == 0 ? got.x : c == 1 ? got.y : got.z, expected, 1e-5f * (1 + expected));
-        ASSERT_NEAR(c == 0 ? got_direct.x : c == 1 ? got_direct.y : got_direct.z, expected_direct, 1e-5f * (1 + expected));
+        ASSERT_NEAR(c == 0   ? got_direct.x
+                    : c == 1 ? got_direct.y
+                             : got_direct.z,
+                    expected_direct, 1e-5f * (1 + expected));
       }
     }
 }

@@ -87,7 +87,8 @@ TEST_P(FileSource, ReportsAStripThatLiesPastTheEndOfAShrunkenShard) {
   const Opened opened;
   const formats::World& world = *opened.world;
   const formats::TileInfo& info = world.tiles(0).back();
-  std::filesystem::resize_file(opened.folder.file(world.shards()[info.shard].name), info.offset + info.stored_bytes / 2);
+  std::filesystem::resize_file(opened.folder.file(world.shards()[info.shard].name),
+                               info.offset + info.stored_bytes / 2);
   Collector collector;
   const auto source = make(world);
   if (!source) GTEST_SKIP();
@@ -105,7 +106,8 @@ TEST_P(FileSource, AnswersEverythingBeforeItsDestructionEnds) {
     Collector collector;
     auto source = make(*opened.world);
     if (!source) GTEST_SKIP();
-    for (int i = 0; i < repeat; ++i) source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, collector.callback());
+    for (int i = 0; i < repeat; ++i)
+      source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, collector.callback());
     source.reset();
     ASSERT_EQ(collector.arrived.size(), static_cast<size_t>(repeat));
   }
@@ -127,9 +129,8 @@ TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
   for (const auto& [id, bytes] : collector.arrived) ASSERT_TRUE(bytes);
 }
 
-INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"), [](const auto& p) {
-  return std::string(p.param);
-});
+INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"),
+                         [](const auto& p) { return std::string(p.param); });
 
 }  // namespace
 }  // namespace ff::stream

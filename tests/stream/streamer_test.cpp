@@ -20,8 +20,8 @@ using formats::TileId;
 class StreamerTest : public testing::Test {
  protected:
   StreamerTest() {
-    const auto written =
-        formats::writeWorld(makeSyntheticWorld({.side = 64, .levels = 5, .tile_nodes = 32}), folder_.file("w.ffm"), 1 << 20);
+    const auto written = formats::writeWorld(makeSyntheticWorld({.side = 64, .levels = 5, .tile_nodes = 32}),
+                                             folder_.file("w.ffm"), 1 << 20);
     if (!written) throw std::runtime_error(written.error().line());
     auto opened = formats::World::open(folder_.file("w.ffm"));
     if (!opened) throw std::runtime_error(opened.error().line());
@@ -30,7 +30,8 @@ class StreamerTest : public testing::Test {
     for (uint32_t level = 0; level < world_->levels().size(); ++level)
       for (const formats::TileInfo& info : world_->tiles(level)) {
         std::promise<std::vector<std::byte>> promise;
-        files->read(info.id, [&](TileId, Result<std::vector<std::byte>> bytes) { promise.set_value(std::move(*bytes)); });
+        files->read(info.id,
+                    [&](TileId, Result<std::vector<std::byte>> bytes) { promise.set_value(std::move(*bytes)); });
         bytes_[info.id] = promise.get_future().get();
       }
   }
@@ -67,7 +68,8 @@ class StreamerTest : public testing::Test {
     std::set<TileId> wanted;
     for (uint32_t level = top() + 1; level-- > 0;)
       for (const formats::TileInfo& info : world_->tiles(level)) {
-        bool in = level == top() || info.bounds.distance(observer) < radius_m * std::pow(growth, static_cast<float>(level));
+        bool in =
+            level == top() || info.bounds.distance(observer) < radius_m * std::pow(growth, static_cast<float>(level));
         for (const TileId parent : parentsOf(info.id)) in = in && wanted.count(parent) != 0;
         if (in) wanted.insert(info.id);
       }
@@ -76,7 +78,8 @@ class StreamerTest : public testing::Test {
   // The level-0 radius from which on a tile is wanted: its own and its ancestors' (growth 1.6).
   float reach(TileId id, Vec3 observer) const {
     if (id.level == top()) return 0;
-    float reach = world_->tiles(id.level)[id.tile].bounds.distance(observer) / std::pow(1.6f, static_cast<float>(id.level));
+    float reach =
+        world_->tiles(id.level)[id.tile].bounds.distance(observer) / std::pow(1.6f, static_cast<float>(id.level));
     for (const TileId parent : parentsOf(id)) reach = std::max(reach, this->reach(parent, observer));
     return reach;
   }
@@ -182,7 +185,9 @@ TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
     at += Vec3{static_cast<float>(random() % 200) / 100 - 1, 0, static_cast<float>(random() % 200) / 100 - 1};
     if (i % 50 == 0) at = randomPlace(random);
     streamer->update(at, {});
-    if (i % 7 == 0) { ASSERT_TRUE(streamer->settle()); }
+    if (i % 7 == 0) {
+      ASSERT_TRUE(streamer->settle());
+    }
     uint64_t bytes = 0;
     for (const StripPtr& strip : streamer->active()) bytes += decodedBytes(*strip);
     ASSERT_LE(bytes, budget);
@@ -261,7 +266,10 @@ TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
 TEST_F(StreamerTest, TilesAheadAreReadBeforeTilesBehind) {
   for (const float direction : {-1.0f, 1.0f}) {
     std::vector<TileId> order;  // written under the source's lock, read after settling
-    auto source = memory(1, [&order](TileId id, int) { order.push_back(id); return Fate::kGood; });
+    auto source = memory(1, [&order](TileId id, int) {
+      order.push_back(id);
+      return Fate::kGood;
+    });
     MemorySource* const held = source.get();
     const auto streamer = make({.radius_m = 12, .hysteresis = 1.0f, .queue_depth = 1}, std::move(source));
     order.clear();

@@ -80,11 +80,20 @@ class MemorySource final : public TileSource {
       }
       std::vector<std::byte> bytes = bytes_.at(item.id);
       switch (item.fate) {
-        case Fate::kGood: break;
-        case Fate::kReadError: item.done(item.id, Error{ErrorCode::kIo, "memory", "", "made to fail", ""}); continue;
-        case Fate::kFlippedByte: bytes[bytes.size() / 2] ^= std::byte{0x10}; break;
-        case Fate::kTruncated: bytes.resize(bytes.size() / 2); break;
-        case Fate::kEmpty: bytes.clear(); break;
+        case Fate::kGood:
+          break;
+        case Fate::kReadError:
+          item.done(item.id, Error{ErrorCode::kIo, "memory", "", "made to fail", ""});
+          continue;
+        case Fate::kFlippedByte:
+          bytes[bytes.size() / 2] ^= std::byte{0x10};
+          break;
+        case Fate::kTruncated:
+          bytes.resize(bytes.size() / 2);
+          break;
+        case Fate::kEmpty:
+          bytes.clear();
+          break;
       }
       item.done(item.id, std::move(bytes));
     }
