@@ -14,13 +14,6 @@ double msSince(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-Vec3 skyIrradiance(const Sky& sky, const formats::Node& node) {
-  if (node.quanta == 0) return {};
-  const float open = 3.14159265358979f * static_cast<float>(node.sky) / static_cast<float>(node.quanta);
-  return open * Vec3{sky.l0.x + dot(sky.l1[0], node.sky_direction), sky.l0.y + dot(sky.l1[1], node.sky_direction),
-                     sky.l0.z + dot(sky.l1[2], node.sky_direction)};
-}
-
 // Radiosity to start from after a change of the cut: a node keeps its own, a new one takes its nearest ancestor's.
 std::vector<Vec4> carryOver(const formats::World& world, const LocalMatrix& old, std::span<const Vec4> values,
                             const LocalMatrix& now) {
@@ -40,6 +33,13 @@ std::vector<Vec4> carryOver(const formats::World& world, const LocalMatrix& old,
 }
 
 }  // namespace
+
+Vec3 skyIrradiance(const Sky& sky, const formats::Node& node) {
+  if (node.quanta == 0) return {};
+  const float open = 3.14159265358979f * static_cast<float>(node.sky) / static_cast<float>(node.quanta);
+  return open * Vec3{sky.l0.x + dot(sky.l1[0], node.sky_direction), sky.l0.y + dot(sky.l1[1], node.sky_direction),
+                     sky.l0.z + dot(sky.l1[2], node.sky_direction)};
+}
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver)
     : world_(world), streamer_(streamer), solver_(solver) {}

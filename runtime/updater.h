@@ -15,6 +15,9 @@ struct Sky {
   Vec3 l1[3];
 };
 
+// Irradiance of a node from the sky, W/m2.
+Vec3 skyIrradiance(const Sky& sky, const formats::Node& node);
+
 // Direct irradiance (sun, spot lamps; not the sky, not emission) of the nodes of one tile, W/m2, one per node; for a
 // cluster the area-weighted mean over its patches. Called on the frame thread when a tile enters the cut and after
 // Updater::lightChanged(). Null: no direct light.

@@ -12,12 +12,15 @@
 
 namespace ff::stream {
 
+// Defaults for patches of 1 m. ff_bench_cut on a town of 59,890, 24 observers, 4096 patches active: reflected radiosity in
+// the inner half errs (worst observer, all together) by 0.84 %, 0.14 % at 8 m (8.6k nodes in the cut); 0.76 %, 0.09 % at 12 m
+// (11.8k); 0.69 %, 0.07 % at 16 m (14.7k); 0.62 %, 0.06 % at 24 m (19.9k). Growth 2 gains a tenth for a third more nodes.
 struct StreamSettings {
-  float radius_m = 24;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
+  float radius_m = 12;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
   float growth = 1.6f;                          // g: r_l = r_0 * g^l
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
-  uint32_t max_level0_nodes = 0xffffffffu;      // likewise, for active patches
+  uint32_t max_level0_nodes = 4096;             // likewise, for active patches
   uint32_t max_nodes = 65536;                   // of all wanted tiles together: slots are 16 bits
   int decode_threads = 1;
   int queue_depth = 8;

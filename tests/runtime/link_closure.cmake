@@ -1,0 +1,27 @@
+# cmake -DPROGRAM=... -DNM=... -P link_closure.cmake: a program that links ff_runtime alone must not need what only the
+# baker and the writer need. What it was linked with is read from the program itself.
+execute_process(COMMAND ldd ${PROGRAM} OUTPUT_VARIABLE libraries RESULT_VARIABLE code)
+execute_process(COMMAND ${NM} -C ${PROGRAM} OUTPUT_VARIABLE symbols RESULT_VARIABLE nm_code)
+if(NOT code EQUAL 0 OR NOT nm_code EQUAL 0)
+  message(FATAL_ERROR "ldd (${code}) or nm (${nm_code}) failed on ${PROGRAM}")
+endif()
+# The check can see: what a reader does need is there.
+foreach(needed libzstd liburing)
+  if(NOT libraries MATCHES ${needed})
+    message(FATAL_ERROR "expected ${needed} among the libraries of ${PROGRAM}:\n${libraries}")
+  endif()
+endforeach()
+if(NOT symbols MATCHES "ff::formats::World::open")
+  message(FATAL_ERROR "expected World::open in ${PROGRAM}; is it stripped?")
+endif()
+foreach(foreign libembree libopenvdb libtbb libtinygltf libvulkan libassimp)
+  if(libraries MATCHES ${foreign})
+    message(FATAL_ERROR "${PROGRAM} needs ${foreign}:\n${libraries}")
+  endif()
+endforeach()
+foreach(foreign "ff::bake::" "tinygltf::" "openvdb::" "rtcNewDevice" "ff::formats::WorldWriter" "ff::formats::encodeStrip"
+    "draco::Encoder")
+  if(symbols MATCHES "${foreign}")
+    message(FATAL_ERROR "${PROGRAM} holds ${foreign}")
+  endif()
+endforeach()
