@@ -1,0 +1,201 @@
+// Manifests whose checksums are right but whose content is not: hostile sizes, names, counts.
+#include <gtest/gtest.h>
+#include <functional>
+
+#include "formats/checksum.h"
+#include "formats/manifest.h"
+#include "tests/formats/furnace_world.h"
+
+namespace ff::formats {
+namespace {
+
+constexpr size_t kTable = kManifestHeaderBytes;
+
+// The manifest of a small world, taken apart into sections that can be changed and put together again.
+class OpenManifest {
+ public:
+  struct Part {
+    SectionRecord record;
+    std::vector<std::byte> bytes;
+  };
+  ManifestHeader header;
+  std::vector<Part> parts;
+
+  OpenManifest() {
+    TemporaryFolder folder;
+    RandomWorld w = makeFurnaceWorld(300);
+    w.grid.assign(5000, std::byte{7});
+    EXPECT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28));
+    const std::vector<std::byte> bytes = readFile(folder.file("w.ffm"));
+    ByteReader r(bytes);
+    ManifestHeader::fields(r, header);
+    for (uint32_t i = 0; i < header.sections; ++i) {
+      Part& p = parts.emplace_back();
+      SectionRecord::fields(r, p.record);
+      const auto begin = bytes.begin() + static_cast<std::ptrdiff_t>(p.record.offset);
+      p.bytes.assign(begin, begin + static_cast<std::ptrdiff_t>(p.record.stored_bytes));
+    }
+  }
+
+  Part& part(uint32_t kind) {
+    for (Part& p : parts)
+      if (p.record.kind == kind) return p;
+    return parts.front();
+  }
+
+  // With right offsets, sizes and checksums. The table may be damaged before it is sealed.
+  std::vector<std::byte> seal(const std::function<void(std::vector<SectionRecord>&)>& damage = {}) {
+    std::vector<SectionRecord> records;
+    uint64_t offset = kTable + parts.size() * kSectionRecordBytes;
+    for (const Part& p : parts) {
+      SectionRecord s = p.record;
+      s.offset = offset;
+      s.stored_bytes = p.bytes.size();
+      if (s.kind != kSectionGrid) s.raw_bytes = s.stored_bytes;
+      s.checksum = hashBytes(p.bytes);
+      offset += s.stored_bytes;
+      records.push_back(s);
+    }
+    if (damage) damage(records);
+    ByteWriter table;
+    for (const SectionRecord& s : records) SectionRecord::fields(table, s);
+    header.sections = static_cast<uint32_t>(records.size());
+    header.file_bytes = offset;
+    header.table_checksum = hashBytes(table.data());
+    std::vector<std::byte> out = recordBytes(header);
+    storeLittle(out.data() + 56, hashBytes(std::span(out).first(56)));
+    out.insert(out.end(), table.data().begin(), table.data().end());
+    for (const Part& p : parts) out.insert(out.end(), p.bytes.begin(), p.bytes.end());
+    return out;
+  }
+};
+
+void expectRefused(const std::string& message, const std::vector<std::byte>& bytes) {
+  const auto parsed = parseManifest(bytes);
+  ASSERT_FALSE(parsed) << message;
+  EXPECT_EQ(parsed.error().code, ErrorCode::kInvalidFile);
+  EXPECT_NE(parsed.error().message.find(message), std::string::npos) << parsed.error().line();
+  EXPECT_NE(parsed.error().place.find("offset"), std::string::npos) << parsed.error().line();
+}
+
+TEST(ManifestRules, TheUntouchedManifestPasses) {
+  const auto parsed = parseManifest(OpenManifest().seal());
+  ASSERT_TRUE(parsed) << parsed.error().line();
+  EXPECT_EQ(parsed->grid_bytes, 5000u);
+}
+
+TEST(ManifestRules, SectionsLieInTheFile) {
+  OpenManifest m;
+  expectRefused("outside the file", m.seal([](auto& t) { t[1].stored_bytes = ~uint64_t{0} - 8; }));
+  expectRefused("outside the file", m.seal([](auto& t) { t[1].offset += 1; }));
+  std::vector<std::byte> longer = m.seal();
+  longer.push_back(std::byte{0});
+  m.header.file_bytes = longer.size();
+  std::vector<std::byte> head = recordBytes(m.header);
+  storeLittle(head.data() + 56, hashBytes(std::span(head).first(56)));
+  std::copy(head.begin(), head.end(), longer.begin());
+  expectRefused("after the last section", longer);
+}
+
+TEST(ManifestRules, KnownSectionsComeOnceAndUnknownOnesAreOptional) {
+  OpenManifest m;
+  m.parts.push_back(m.part(kSectionInfo));
+  expectRefused("twice", m.seal());
+  m.parts.back().record.kind = 77;
+  expectRefused("unknown kind 77", m.seal());
+  m.parts.back().record.kind = kSectionOptional | 77;
+  EXPECT_TRUE(parseManifest(m.seal()));
+  m.parts.erase(m.parts.begin() + 3);
+  expectRefused("lacks section", m.seal());
+}
+
+TEST(ManifestRules, ShardsAreFilesBesideTheManifest) {
+  for (const std::string& name : {std::string(), std::string("."), std::string(".."), std::string("../w.0000.ffs"),
+                                 std::string("/etc/passwd"), std::string("a\0b", 3)}) {
+    OpenManifest m;
+    ByteWriter w;
+    ShardRecord record;
+    record.name = name;
+    ShardRecord::fields(w, record);
+    m.part(kSectionShards).bytes = w.data();
+    expectRefused("plain file name", m.seal());
+  }
+  EXPECT_TRUE(isPlainFileName("town.0000.ffs"));
+}
+
+TEST(ManifestRules, TheGridIsAsLargeAsItsFrame) {
+  // A terabyte promised by a few bytes: refused, and no terabyte taken.
+  OpenManifest m;
+  m.part(kSectionGrid).record.raw_bytes = uint64_t{1} << 40;
+  expectRefused("spatial grid", m.seal());
+  m.part(kSectionGrid).record.raw_bytes = 4999;
+  expectRefused("spatial grid", m.seal());
+  m.part(kSectionGrid).record.raw_bytes = 0;
+  expectRefused("spatial grid", m.seal());
+  m.part(kSectionGrid).record.raw_bytes = 5000;
+  m.part(kSectionGrid).bytes.push_back(std::byte{0});
+  expectRefused("spatial grid", m.seal());
+  m.part(kSectionGrid).bytes.resize(6);
+  expectRefused("spatial grid", m.seal());
+  m.part(kSectionGrid).bytes.clear();
+  expectRefused("spatial grid", m.seal());
+}
+
+TEST(ManifestRules, LevelsAndParentsAgree) {
+  const auto set = [](std::vector<std::byte>& bytes, size_t at, uint32_t value) { storeLittle(bytes.data() + at, value); };
+  {
+    OpenManifest m;  // four billion nodes, 40 bytes of links
+    set(m.part(kSectionLevels).bytes, 0, 0xffffffff);
+    expectRefused("cut off", m.seal());
+  }
+  {
+    OpenManifest m;
+    set(m.part(kSectionLevels).bytes, kLevelRecordBytes, 149);
+    expectRefused("parents", m.seal());
+  }
+  {
+    OpenManifest m;
+    set(m.part(kSectionLevels).bytes, 4, 301);  // more tiles than nodes
+    expectRefused("cannot be", m.seal());
+  }
+  {
+    OpenManifest m;
+    set(m.part(kSectionLevels).bytes, 28, 1);
+    expectRefused("reserved", m.seal());
+  }
+  {
+    OpenManifest m;
+    m.part(kSectionParents).bytes[0] &= std::byte{0xfe};
+    expectRefused("begin with a parent", m.seal());
+  }
+  {
+    OpenManifest m;
+    m.part(kSectionParents).bytes.back() |= std::byte{0x80};
+    expectRefused("past the last", m.seal());
+  }
+  {
+    OpenManifest m;
+    m.part(kSectionParents).bytes.resize(48);
+    expectRefused("wrong length", m.seal());
+  }
+  {
+    OpenManifest m;
+    m.part(kSectionLevels).bytes.clear();
+    expectRefused("0 levels", m.seal());
+    m.part(kSectionLevels).bytes.resize(17 * kLevelRecordBytes);
+    expectRefused("17 levels", m.seal());
+  }
+}
+
+TEST(ManifestRules, WorldInformationIsComplete) {
+  OpenManifest m;
+  std::vector<std::byte>& info = m.part(kSectionInfo).bytes;
+  info.pop_back();
+  expectRefused("wrong length", m.seal());
+  OpenManifest n;
+  storeLittle(n.part(kSectionInfo).bytes.data(), 0x7fc00000u);  // cell_m: NaN
+  expectRefused("cannot be", n.seal());
+}
+
+}  // namespace
+}  // namespace ff::formats
