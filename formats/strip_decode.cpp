@@ -156,11 +156,12 @@ uint32_t countRuns(const uint8_t* marks, size_t entries) {
   return runs;
 }
 
-// Rows, columns and counts. The loop gathers faults and reports after a block, so that it stays short.
+// Rows, columns and counts, run by run. Within a run the row is one and the columns rise, so that most checks and the row's
+// sum are made once a run. Plain pointers, because a store through uint8_t* may alias any vector.
 Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout,
                            std::span<const TileInfo> partners, Strip& out) {
   const auto* raw = reinterpret_cast<const uint8_t*>(bytes.data());
-  const uint8_t* marks = raw + layout.marks();
+  const uint8_t* const marks = raw + layout.marks();
   const uint8_t* first_columns = raw + layout.columns();
   const uint8_t* column_steps = first_columns + countRuns(marks, layout.entries);
   const uint8_t* escapes = raw + layout.escapes();
@@ -168,36 +169,44 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
   out.rows.resize(layout.entries);
   out.columns.resize(layout.entries);
   out.counts.resize(layout.entries);
+  uint8_t* const rows = out.rows.data();
+  uint8_t* const columns = out.columns.data();
+  uint16_t* const counts = out.counts.data();
   std::array<uint64_t, kTileNodes> sums{};
   size_t e = 0;
   for (const Block& block : out.blocks) {
     const auto bad = [&](const char* what) {
       return broken(info, "block of partner tile " + std::to_string(block.partner_tile) + ": " + what);
     };
-    // row is one more than the row's number, so that a block's first mark always begins a run.
-    uint32_t row = 0, column = 0, first_column = 0, largest_column = 0, unordered = 0;
-    if (marks[e] <= kMarkCountMask) return bad("does not begin with a row");
-    for (const size_t end = e + block.entries; e < end; ++e) {
-      uint32_t step = marks[e] >> kMarkCountBits, count = marks[e] & kMarkCountMask;
-      if (step == kMarkLargeStep || count == 0) [[unlikely]]
-        if (!takeEscape(escapes, escapes_end, step, count)) return bad("an escape is malformed");
-      if (step != 0) {
-        row += step;
-        first_column = (first_column + *first_columns++) & 0xff;
-        column = first_column;
-      } else {
+    const uint32_t partner_nodes = partners[block.partner_tile].nodes;
+    const size_t end = e + block.entries;
+    uint32_t row = 0, first_column = 0;  // row: one more than the row's number, so that a block's first step is > 0
+    while (e < end) {
+      uint32_t mark = marks[e], step = mark >> kMarkCountBits, count = mark & kMarkCountMask;
+      if (step == 0) return bad("does not begin with a row");
+      if ((step == kMarkLargeStep || count == 0) && !takeEscape(escapes, escapes_end, step, count))
+        return bad("an escape is malformed");
+      row += step;
+      if (row > layout.nodes) return bad("a row is outside the tile");
+      first_column = (first_column + *first_columns++) & 0xff;
+      uint32_t column = first_column, unordered = 0;
+      uint64_t sum = 0;
+      for (;;) {
+        rows[e] = static_cast<uint8_t>(row - 1);
+        columns[e] = static_cast<uint8_t>(column);
+        counts[e] = static_cast<uint16_t>(count);
+        sum += count;
+        if (++e == end || (mark = marks[e]) > kMarkCountMask) break;
+        step = 0;
+        count = mark;
+        if (count == 0 && !takeEscape(escapes, escapes_end, step, count)) return bad("an escape is malformed");
         unordered |= static_cast<uint32_t>(*column_steps == 0);
         column += *column_steps++;
       }
-      largest_column = std::max(largest_column, column);
-      out.rows[e] = static_cast<uint8_t>(row - 1);
-      out.columns[e] = static_cast<uint8_t>(column);
-      out.counts[e] = static_cast<uint16_t>(count);
-      sums[(row - 1) & (kTileNodes - 1)] += count;
+      if (unordered != 0) return bad("entries are not in order of row and column");
+      if (column >= partner_nodes) return bad("a column is outside the partner tile");
+      sums[row - 1] += sum;
     }
-    if (row > layout.nodes) return bad("a row is outside the tile");
-    if (unordered != 0) return bad("entries are not in order of row and column");
-    if (largest_column >= partners[block.partner_tile].nodes) return bad("a column is outside the partner tile");
   }
   if (escapes != escapes_end) return broken(info, "escapes are left over");
   for (size_t i = 0; i < layout.nodes; ++i) {

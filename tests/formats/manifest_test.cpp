@@ -1,5 +1,6 @@
 // Manifests whose checksums are right but whose content is not: hostile sizes, names, counts.
 #include <gtest/gtest.h>
+
 #include <functional>
 
 #include "formats/checksum.h"
