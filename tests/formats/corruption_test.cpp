@@ -199,6 +199,23 @@ TEST_F(Corruption, NewerFilesAreRefusedByName) {
   }
 }
 
+TEST_F(Corruption, UnusedBytesAreIgnoredAndReservedOnesRefused) {
+  const std::vector<std::byte> good = readFile(rows());
+  const auto withByte = [&](size_t at) {
+    std::vector<std::byte> bytes = good;
+    bytes[at] = std::byte{1};
+    storeLittle(bytes.data() + kShardHeaderBytes - 8, hashBytes(std::span(bytes).first(kShardHeaderBytes - 8)));
+    writeFile(rows(), bytes);
+    return readEverything(manifest());
+  };
+  for (const size_t unused : {2048, 3000, 4087}) EXPECT_TRUE(withByte(unused)) << unused;
+  for (const size_t reserved : {20, 1000, 2047}) {
+    const auto read = withByte(reserved);
+    ASSERT_FALSE(read) << reserved;
+    EXPECT_NE(read.error().message.find("reserved"), std::string::npos) << read.error().line();
+  }
+}
+
 TEST(Manifest, IsNotTakenFromOtherFiles) {
   TemporaryFolder folder;
   writeFile(folder.file("empty.ffm"), {});
