@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 
 #include "tools/view_camera.h"
 
@@ -12,6 +13,8 @@ constexpr float kInteriorOpenness = 0.25f;
 constexpr float kInteriorPlan = 0.6f;
 constexpr float kUnderRoof = 0.15f;  // of a floor's hemisphere is sky, at most
 constexpr size_t kCandidates = 600;
+constexpr size_t kLookedAt = 200;  // best candidates by voxels that are looked at closely,
+constexpr int kConfirmed = 6;      // until so many are good
 constexpr int kRing = 32;  // horizontal directions looked at
 constexpr double kSeconds = 6;
 
@@ -20,29 +23,32 @@ class Occupancy {
  public:
   explicit Occupancy(const ViewScene& scene) {
     const Vec3 size = scene.bounds.hi - scene.bounds.lo;
-    step_ = std::max(0.5f * scene.cell_m, std::max({size.x, size.y, size.z}) / 400);
+    step_ = std::max(0.5f * scene.cell_m, std::max({size.x, size.y, size.z}) / 300);
     origin_ = scene.bounds.lo - Vec3{step_, step_, step_};
     for (int a = 0; a < 3; ++a) n_[a] = static_cast<int>(size[a] / step_) + 3;
-    full_.assign(static_cast<size_t>(n_[0]) * static_cast<size_t>(n_[1]) * static_cast<size_t>(n_[2]), 0);
+    voxels_.resize(static_cast<size_t>(n_[0]) * static_cast<size_t>(n_[1]) * static_cast<size_t>(n_[2]));
     for (size_t t = 0; t < scene.triangles(); ++t) {
       const Vec3 &a = scene.corners[3 * t], &b = scene.corners[3 * t + 1], &c = scene.corners[3 * t + 2];
+      const Vec3 normal = normalized(cross(b - a, c - a));
       const float longest = std::max({length(b - a), length(c - b), length(a - c)});
       const float spacing = std::max(0.5f * step_ / std::max(longest, 1e-6f), 1.0f / 64);
       for (float u = 0; u < 1 + spacing; u += spacing)
         for (float v = 0; v < 1 + spacing - u; v += spacing)
           if (const auto at = index(a + (b - a) * std::min(u, 1.0f) + (c - a) * std::min(v, 1 - std::min(u, 1.0f))))
-            full_[*at] = 1;
+            voxels_[*at].add(normal);
     }
   }
 
   float step() const { return step_; }
 
-  // Free distance along a unit direction; negative infinity where the ray leaves the world unhindered.
+  // Free distance along a unit direction; negative infinity where the ray leaves the world unhindered or meets the back
+  // of a surface, which is to say that it began outside.
   float free(Vec3 from, Vec3 direction, float most) const {
     for (float d = 0; d < most; d += 0.5f * step_) {
       const auto at = index(from + direction * d);
       if (!at) return -std::numeric_limits<float>::infinity();
-      if (full_[*at]) return d;
+      const Voxel& v = voxels_[*at];
+      if (v.full) return v.showsBackTo(direction) ? -std::numeric_limits<float>::infinity() : d;
     }
     return most;
   }
@@ -52,12 +58,27 @@ class Occupancy {
     for (int y = n_[1] - 1; y >= 0; --y) {
       const float height = origin_.y + (static_cast<float>(y) + 0.5f) * step_;
       const auto at = index({x, height, z});
-      if (at && full_[*at]) return height + 0.5f * step_;
+      if (at && voxels_[*at].full) return height + 0.5f * step_;
     }
     return origin_.y;
   }
 
  private:
+  struct Voxel {
+    bool full = false;
+    int8_t normal[3] = {};  // sum of the faces' normals, saturating
+
+    void add(Vec3 n) {
+      full = true;
+      for (int a = 0; a < 3; ++a)
+        normal[a] = static_cast<int8_t>(std::clamp(static_cast<float>(normal[a]) + 8 * n[a], -127.0f, 127.0f));
+    }
+    bool showsBackTo(Vec3 direction) const {
+      const Vec3 n{static_cast<float>(normal[0]), static_cast<float>(normal[1]), static_cast<float>(normal[2])};
+      return dot(normalized(n), direction) > 0.3f;  // not where several faces meet edgewise or back to back
+    }
+  };
+
   std::optional<size_t> index(Vec3 p) const {
     size_t at = 0;
     for (int a = 2; a >= 0; --a) {
@@ -70,7 +91,7 @@ class Occupancy {
   Vec3 origin_;
   float step_ = 1;
   int n_[3] = {};
-  std::vector<uint8_t> full_;
+  std::vector<Voxel> voxels_;
 };
 
 struct Shot {
@@ -83,7 +104,8 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
   Shot best;
   const Vec3 above = floor + Vec3{0, 1.5f * space.step(), 0};
   const float room = space.free(above, {0, 1, 0}, 16 * cell);
-  const float height = (std::isinf(room) ? 16 * cell : room) + 1.5f * space.step();
+  if (std::isinf(room)) return best;  // no roof
+  const float height = room + 1.5f * space.step();
   if (height < 4 * space.step()) return best;
   best.eye = floor + Vec3{0, std::min(0.55f * height, 7 * cell), 0};
   float distance[kRing];
@@ -92,7 +114,8 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
     distance[i] = space.free(best.eye, {std::cos(angle), 0, std::sin(angle)}, extent);
   }
   const float elbow = std::abs(*std::min_element(distance, distance + kRing, [](float a, float b) { return std::abs(a) < std::abs(b); }));
-  if (elbow < cell) return best;
+  const auto out = std::count_if(distance, distance + kRing, [](float d) { return std::isinf(d); });
+  if (elbow < cell || out > kRing / 4) return best;
   for (int i = 0; i < kRing; ++i) {
     float wide = 0;  // over about 60 degrees
     float nearest = extent;
@@ -117,6 +140,13 @@ Shot bestShot(const Occupancy& space, Vec3 floor, float cell, float extent) {
   return best;
 }
 
+// Patches in the void around a sealed world see the backs of its walls.
+bool seesBacks(const formats::Node& n) { return n.absorbed > n.quanta / 10; }
+
+bool isFloorUnderRoof(const formats::Node& n) {
+  return n.normal.y > 0.8f && static_cast<float>(n.sky) < kUnderRoof * static_cast<float>(n.quanta) && !seesBacks(n);
+}
+
 // The share of the world's plan with a floor under a roof: near 1 for one building, less for a town or a landscape with
 // caves. (A building's outer walls see the sky, so openness alone does not tell.)
 float coveredPlan(const ViewScene& scene) {
@@ -128,11 +158,53 @@ float coveredPlan(const ViewScene& scene) {
     const auto x = static_cast<size_t>(std::max(0.0f, n.centroid.x - scene.bounds.lo.x) / step);
     const auto z = static_cast<size_t>(std::max(0.0f, n.centroid.z - scene.bounds.lo.z) / step);
     uint8_t& k = kind[std::min(x, columns - 1) + columns * std::min(z, rows - 1)];
-    const bool floor = n.normal.y > 0.8f && static_cast<float>(n.sky) < kUnderRoof * static_cast<float>(n.quanta);
-    k = std::max<uint8_t>(k, floor ? 2 : 1);
+    k = std::max<uint8_t>(k, isFloorUnderRoof(n) ? 2 : 1);
   }
   const auto covered = std::count(kind.begin(), kind.end(), 2), used = covered + std::count(kind.begin(), kind.end(), 1);
   return used > 0 ? static_cast<float>(covered) / static_cast<float>(used) : 0.0f;
+}
+
+struct Hit {
+  float distance = std::numeric_limits<float>::infinity();
+  bool front = false;
+};
+
+// First hits of rays from one point, on the true triangles. Moeller, Trumbore. Fast, Minimum Storage Ray-Triangle
+// Intersection. 1997.
+std::vector<Hit> cast(const ViewScene& scene, Vec3 from, std::span<const Vec3> directions) {
+  std::vector<Hit> hits(directions.size());
+  for (size_t t = 0; t < scene.triangles(); ++t) {
+    const Vec3 a = scene.corners[3 * t], ab = scene.corners[3 * t + 1] - a, ac = scene.corners[3 * t + 2] - a;
+    const Vec3 n = cross(ab, ac), to_a = from - a, q = cross(to_a, ab);
+    for (size_t i = 0; i < directions.size(); ++i) {
+      const Vec3 p = cross(directions[i], ac);
+      const float det = dot(ab, p);
+      if (det == 0) continue;
+      const float u = dot(to_a, p) / det, v = dot(directions[i], q) / det, d = dot(ac, q) / det;
+      if (u < 0 || v < 0 || u + v > 1 || d <= 0 || d > hits[i].distance) continue;
+      const bool front = dot(n, directions[i]) < 0;
+      if (d == hits[i].distance && !front) continue;  // two sides of one sheet
+      hits[i] = {d, front};
+    }
+  }
+  return hits;
+}
+
+// Voxels are coarse: sees to it that the eye is in free space surrounded by fronts of surfaces, and sets the true reach.
+bool confirmed(const ViewScene& scene, Shot& shot) {
+  std::vector<Vec3> around{shot.direction, {0, 1, 0}, {0, -1, 0}};
+  for (int i = 0; i < 12; ++i) {
+    const float angle = 0.1f + 6.2831853f * static_cast<float>(i) / 12;
+    around.push_back(normalized({std::cos(angle), i % 3 == 0 ? 0.5f : i % 3 == 1 ? -0.3f : 0.0f, std::sin(angle)}));
+  }
+  const std::vector<Hit> hits = cast(scene, shot.eye, around);
+  int fronts = 0;
+  for (const Hit& h : hits) {
+    fronts += h.front;
+    if (h.distance < 0.5f * scene.cell_m || (!h.front && !std::isinf(h.distance))) return false;
+  }
+  shot.reach = hits[0].distance;
+  return hits[0].front && fronts >= 12 && shot.reach > 3 * scene.cell_m;
 }
 
 CameraPath overTheMiddle(const ViewScene& scene, const Occupancy& space) {
@@ -162,7 +234,7 @@ CameraPath overTheMiddle(const ViewScene& scene, const Occupancy& space) {
 float openness(const ViewScene& scene) {
   double sky = 0, area = 0;
   for (const formats::Node& n : scene.patches) {
-    if (n.quanta == 0) continue;
+    if (n.quanta == 0 || seesBacks(n)) continue;
     sky += static_cast<double>(n.area_m2) * n.sky / n.quanta;
     area += static_cast<double>(n.area_m2);
   }
@@ -174,16 +246,24 @@ CameraPath findPath(const ViewScene& scene) {
   if (openness(scene) > kInteriorOpenness && coveredPlan(scene) < kInteriorPlan) return overTheMiddle(scene, space);
   std::vector<Vec3> floors;
   for (const formats::Node& n : scene.patches)
-    if (n.normal.y > 0.8f && static_cast<float>(n.sky) < kUnderRoof * static_cast<float>(n.quanta)) floors.push_back(n.centroid);
+    if (isFloorUnderRoof(n)) floors.push_back(n.centroid);
   const Vec3 size = scene.bounds.hi - scene.bounds.lo;
   const float extent = std::min(length(size), 60 * scene.cell_m);
-  Shot best;
+  std::vector<Shot> shots;
   const size_t stride = std::max<size_t>(1, floors.size() / kCandidates);
   for (size_t i = 0; i < floors.size(); i += stride) {
     const Shot shot = bestShot(space, floors[i], scene.cell_m, extent);
-    if (shot.score > best.score) best = shot;
+    if (shot.score > 0) shots.push_back(shot);
   }
-  if (best.score < 0) return overTheMiddle(scene, space);
+  std::stable_sort(shots.begin(), shots.end(), [](const Shot& a, const Shot& b) { return a.score > b.score; });
+  Shot best;
+  int confirmations = 0;
+  for (size_t i = 0; i < std::min(shots.size(), kLookedAt) && confirmations < kConfirmed; ++i) {
+    if (!confirmed(scene, shots[i])) continue;
+    ++confirmations;
+    if (shots[i].reach > best.reach) best = shots[i];
+  }
+  if (confirmations == 0) return overTheMiddle(scene, space);
   CameraPath path;
   const Vec3 step = best.direction * (0.3f * best.reach);
   const Vec3 target = best.eye + best.direction * best.reach - Vec3{0, 0.08f * best.reach, 0};

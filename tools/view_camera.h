@@ -34,7 +34,7 @@ Result<CameraPath> readCamera(const std::string& path);
 // L = l0 + zenith * w.y.
 runtime::Sky skyOf(Vec3 l0, Vec3 zenith);
 
-// Area-weighted mean fraction of sky that patches see, 0..1.
+// Area-weighted mean fraction of sky that patches see, 0..1; patches that look at the backs of others do not count.
 float openness(const ViewScene& scene);
 
 // A path of 6 s. Where little sky is seen: a walk through the free space of a large room, over its floor. Else: an arc over the

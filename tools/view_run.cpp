@@ -23,7 +23,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr float kRadiusCells = 24;
 constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
-constexpr float kAdaption = 0.35f;  // share of a change of brightness that automatic exposure follows per picture
+constexpr double kAdaptionSeconds = 0.7;  // in which automatic exposure follows all but 1/e of a change
 
 double msSince(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
@@ -40,7 +40,7 @@ struct Lighting {
 Lighting lightingFor(const RunOptions& options, const CameraPath& camera, const ViewScene& scene) {
   Lighting l;
   if (options.lamps_only) return l;
-  const bool sealed = openness(scene) < 1e-3f;
+  const bool sealed = openness(scene) < 0.01f;
   if (!sealed) {
     l.sun = {normalized({0.512f, 0.768f, 0.384f}), {13.0f, 11.8f, 9.6f}};
     l.sky = skyOf({0.9f, 1.15f, 1.5f}, {0.1f, 0.3f, 0.6f});
@@ -65,6 +65,8 @@ struct Flight {
   std::vector<double> source, full;     // of the full solve, 3 per patch
   float radius_m = 0;
   std::string name;                     // of the world's file, without folder and extension
+  float stops = 0;                      // exposure of the last picture, at last_t
+  double last_t = 0;
 };
 
 struct PictureNames {
@@ -92,8 +94,7 @@ Result<void> writePictures(const Flight& f, const Rendered& drawn, const Picture
   return writePng(heat, (folder / names.difference).string());
 }
 
-Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t,
-                      float* stops) {
+Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t) {
   const View view = f.camera.at(t);
   const Vec3 velocity = f.camera.velocityAt(t);
   const uint64_t bytes_before = streamer.stats().bytes_read;
@@ -102,7 +103,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto r = streamer.settle(); !r) return r.error();
   auto stats = updater.frame(view.eye, velocity, f.options.iterations);
   if (!stats) return stats.error();
-  auto iterations = updater.converge(1e-5f, 256);
+  auto iterations = updater.converge(3e-5f, 128);
   if (!iterations) return iterations.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();
@@ -120,8 +121,10 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (!drawn) return drawn.error();
   const double draw_ms = msSince(draw_start);
   const float wanted = f.options.exposure_stops.value_or(exposureStops(drawn->bounced));
-  *stops = frame == 0 || f.options.exposure_stops ? wanted : *stops + kAdaption * (wanted - *stops);
-  const float exposure = std::exp2(*stops);
+  if (frame == 0 || f.options.exposure_stops) f.stops = wanted;
+  f.stops += static_cast<float>(1 - std::exp(-(t - f.last_t) / kAdaptionSeconds)) * (wanted - f.stops);
+  f.last_t = t;
+  const float exposure = std::exp2(f.stops);
   const PictureNames names = namesOf(f, frame);
   if (auto w = writePictures(f, *drawn, names, exposure); !w) return w.error();
 
@@ -130,7 +133,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
             {"level0_leaves", stats->level0_leaves}, {"entries", stats->entries}, {"matrix_ms", stats->matrix_ms},
             {"solve_ms", stats->solve_ms}, {"solve_iterations", f.options.iterations},
             {"iterations_to_converge", *iterations}, {"draw_ms", draw_ms}, {"bytes_read", s.bytes_read - bytes_before},
-            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure_stops", *stops},
+            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure_stops", f.stops},
             {"direct_picture", names.direct}, {"bounce_picture", names.bounce}};
   if (f.options.compare) {
     j["difference_picture"] = names.difference;
@@ -228,7 +231,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
 
   json figures = {{"world", std::filesystem::path(options.world).filename().string()}, {"device", device}};
   {
-    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string()};
+    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
     if (auto r = prepare(f, figures, say); !r) return r.error();
     f.radius_m = options.radius_m > 0 ? options.radius_m : kRadiusCells * world->info().cell_m;
     stream::StreamSettings settings;
@@ -253,11 +256,10 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     figures["solver"] = solver->name();
     figures["radius_m"] = f.radius_m;
     figures["frames"] = json::array();
-    float stops = 0;
     for (int i = 0; i < options.frames; ++i) {
       const double along = options.frames > 1 ? static_cast<double>(i) / (options.frames - 1) : 0;
       const double t = f.camera.start() + along * (f.camera.end() - f.camera.start());
-      auto frame = flyFrame(f, **streamer, updater, i, t, &stops);
+      auto frame = flyFrame(f, **streamer, updater, i, t);
       if (!frame) return frame.error();
       say("frame " + std::to_string(i) + ": " + frame->dump());
       figures["frames"].push_back(std::move(*frame));

@@ -84,10 +84,7 @@ TEST_F(Camera, FindsAPathInsideAClosedRoom) {
 TEST_F(Camera, FindsAPathAboveAnOpenLandscape) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 40}, {40, 0, 0}, 40, 40);
-  for (formats::Node& n : scene.patches) {
-    n.absorbed = 0;
-    n.sky = n.quanta;
-  }
+  for (formats::Node& n : scene.patches) n.sky = n.quanta;
   EXPECT_EQ(openness(scene), 1);
   const CameraPath path = findPath(scene);
   for (double t = path.start(); t <= path.end(); t += 0.5) {

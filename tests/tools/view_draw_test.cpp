@@ -112,10 +112,7 @@ class Pictures : public Drawing {
 TEST_F(Pictures, ShowEmissionAndAlbedoTimesIrradiance) {
   ViewScene scene;
   addSheet(scene, {-20, 0, -20}, {0, 0, 40}, {40, 0, 0}, 40, 40, {0.5f, 0.25f, 0.125f}, {3, 2, 1});
-  for (formats::Node& n : scene.patches) {
-    n.sky = n.quanta;
-    n.absorbed = 0;
-  }
+  for (formats::Node& n : scene.patches) n.sky = n.quanta;
   const float sky_irradiance = 3.14159265f * 2;
   const Drawn d = draw(scene, {{0, 5, 0}, {0, 0, 0.1f}, 1}, {}, {{2, 2, 2}, {}}, {{{8, 8, 8, 0}, {16, 16, 16, 0}}},
                        std::vector<uint32_t>(scene.patches.size(), 0));

@@ -65,7 +65,6 @@ TEST(ViewLight, SourceIsEmissionAndReflectedSunAndSky) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 1}, {1, 0, 0}, 1, 1, {0.5f, 0.25f, 1}, {1, 2, 3});
   scene.patches[0].sky = 256;  // half of 512 quanta
-  scene.patches[0].absorbed = 256;
   scene.patches[0].sky_direction = {0, 0.5f, 0};
   const runtime::Sky sky = skyIrradiance(scene.patches[0], {}) == Vec3{} ? runtime::Sky{{1, 1, 1}, {{0, 2, 0}, {0, 2, 0}, {0, 2, 0}}}
                                                                          : runtime::Sky{};

@@ -20,7 +20,6 @@ inline uint32_t addSheet(ViewScene& scene, Vec3 at, Vec3 u, Vec3 v, int nu, int 
       n.albedo = albedo;
       n.emission = emission;
       n.quanta = 512;
-      n.absorbed = 512;
       const auto patch = static_cast<uint32_t>(scene.patches.size());
       scene.patches.push_back(n);
       for (const Vec3 corner : {p, p + du, p + du + dv, p, p + du + dv, p + dv}) {
