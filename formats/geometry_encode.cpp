@@ -37,16 +37,23 @@ Result<std::vector<std::byte>> encodeGeometry(const TileGeometry& g) try {
   }
   const std::unique_ptr<draco::Mesh> mesh = builder.Finalize();
   if (!mesh) return unfit(g, "Draco cannot build the mesh");
-  draco::Encoder encoder;
-  encoder.SetEncodingMethod(draco::MESH_SEQUENTIAL_ENCODING);
-  encoder.SetSpeedOptions(3, 3);
-  encoder.SetAttributeQuantization(draco::GeometryAttribute::POSITION, kGeometryBits);
-  encoder.options().SetGlobalBool("compress_connectivity", true);
-  draco::EncoderBuffer buffer;
-  if (const draco::Status status = encoder.EncodeMeshToBuffer(*mesh, &buffer); !status.ok())
-    return unfit(g, std::string("Draco: ") + status.error_msg());
-  const auto* bytes = reinterpret_cast<const std::byte*>(buffer.data());
-  return std::vector<std::byte>(bytes, bytes + buffer.size());
+  const auto encode = [&](bool compress_connectivity) -> Result<std::vector<std::byte>> {
+    draco::Encoder encoder;
+    encoder.SetEncodingMethod(draco::MESH_SEQUENTIAL_ENCODING);
+    encoder.SetSpeedOptions(3, 3);
+    encoder.SetAttributeQuantization(draco::GeometryAttribute::POSITION, kGeometryBits);
+    encoder.options().SetGlobalBool("compress_connectivity", compress_connectivity);
+    draco::EncoderBuffer buffer;
+    if (const draco::Status status = encoder.EncodeMeshToBuffer(*mesh, &buffer); !status.ok())
+      return unfit(g, std::string("Draco: ") + status.error_msg());
+    const auto* bytes = reinterpret_cast<const std::byte*>(buffer.data());
+    return std::vector<std::byte>(bytes, bytes + buffer.size());
+  };
+  // Draco's decoder refuses a mesh whose bytes after the header and the counts are fewer than three a face, although
+  // compressed connectivity may take less (flat, regular floors do). Plain connectivity never does.
+  constexpr size_t kHeaderBytes = 32;  // of Draco's header and counts, at most
+  auto encoded = encode(true);
+  return encoded && encoded->size() < 3 * triangles + kHeaderBytes ? encode(false) : std::move(encoded);
 } catch (const std::exception& e) {
   return unfit(g, std::string("Draco: ") + e.what());
 }
