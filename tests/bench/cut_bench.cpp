@@ -291,9 +291,9 @@ void run(const Options& options) {
   };
   const auto percent = [](double x) { return std::to_string(100 * x) + " %"; };
   const std::string name = std::to_string(world.levels()[0].nodes) + " patches, at most " +
-                           std::to_string(options.max_patches) + " active, local radius " + std::to_string(radius) +
-                           " m, growth " + std::to_string(options.growth) +
-                           (options.lamps ? ", sun, sky and lamps" : ", sun and sky");
+                           std::to_string(options.max_patches) + " active, r_0 " + std::to_string(options.radius_m) +
+                           " m, local radius " + std::to_string(radius) + " m, growth " +
+                           std::to_string(options.growth) + (options.lamps ? ", sun, sky and lamps" : ", sun and sky");
   const auto note = [&](const std::vector<double>& each, const Difference& all) {
     return name + "; worst of " + std::to_string(each.size()) + " observers (" + std::to_string(dark) +
            " more stand in the dark), median " + percent(median(each)) + ", all patches together " +
