@@ -14,7 +14,7 @@ constexpr float kInteriorPlan = 0.6f;
 constexpr float kUnderRoof = 0.15f;  // of a floor's hemisphere is sky, at most
 constexpr size_t kCandidates = 600;
 constexpr size_t kLookedAt = 200;  // best candidates by voxels that are looked at closely,
-constexpr int kConfirmed = 6;      // until so many are good
+constexpr int kConfirmed = 12;     // until so many are good
 constexpr int kRing = 32;  // horizontal directions looked at
 constexpr double kSeconds = 6;
 
@@ -97,6 +97,7 @@ class Occupancy {
 struct Shot {
   Vec3 eye, direction;
   float reach = 0, score = -1;
+  bool sky = false;  // the floor sees some
 };
 
 // From above a floor patch: the horizontal direction with the deepest view that ends on a surface, and room to walk.
@@ -190,21 +191,45 @@ std::vector<Hit> cast(const ViewScene& scene, Vec3 from, std::span<const Vec3> d
   return hits;
 }
 
-// Voxels are coarse: sees to it that the eye is in free space surrounded by fronts of surfaces, and sets the true reach.
+// The patches that shine most at a point, whether it sees them or not.
+std::vector<Vec3> brightest(const ViewScene& scene, Vec3 at) {
+  std::vector<std::pair<float, Vec3>> lamps;
+  for (const formats::Node& n : scene.patches) {
+    const float power = (n.emission.x + n.emission.y + n.emission.z) * n.area_m2;
+    if (power > 0) lamps.emplace_back(power / std::max(dot(n.centroid - at, n.centroid - at), 1e-6f), n.centroid);
+  }
+  const size_t count = std::min<size_t>(lamps.size(), 8);
+  std::partial_sort(lamps.begin(), lamps.begin() + static_cast<std::ptrdiff_t>(count), lamps.end(),
+                    [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::vector<Vec3> places;
+  for (size_t i = 0; i < count; ++i) places.push_back(lamps[i].second);
+  return places;
+}
+
+// Voxels are coarse: sees to it that the eye is in free space surrounded by fronts of surfaces, and sets the true reach
+// and a score that prefers places that light comes to.
 bool confirmed(const ViewScene& scene, Shot& shot) {
   std::vector<Vec3> around{shot.direction, {0, 1, 0}, {0, -1, 0}};
   for (int i = 0; i < 12; ++i) {
     const float angle = 0.1f + 6.2831853f * static_cast<float>(i) / 12;
     around.push_back(normalized({std::cos(angle), i % 3 == 0 ? 0.5f : i % 3 == 1 ? -0.3f : 0.0f, std::sin(angle)}));
   }
+  const size_t directions = around.size();
+  const std::vector<Vec3> lamps = brightest(scene, shot.eye);
+  for (const Vec3 lamp : lamps) around.push_back(normalized(lamp - shot.eye));
   const std::vector<Hit> hits = cast(scene, shot.eye, around);
-  int fronts = 0;
-  for (const Hit& h : hits) {
-    fronts += h.front;
-    if (h.distance < 0.5f * scene.cell_m || (!h.front && !std::isinf(h.distance))) return false;
+  size_t fronts = 0, backs = 0;
+  for (size_t i = 0; i < directions; ++i) {
+    fronts += hits[i].front;
+    backs += !hits[i].front && !std::isinf(hits[i].distance);
+    if (hits[i].distance < 0.5f * scene.cell_m) return false;
   }
   shot.reach = hits[0].distance;
-  return hits[0].front && fronts >= 12 && shot.reach > 3 * scene.cell_m;
+  bool lit = shot.sky;
+  for (size_t i = 0; i < lamps.size(); ++i)
+    lit |= hits[directions + i].distance > 0.98f * length(lamps[i] - shot.eye) - 0.1f * scene.cell_m;
+  shot.score = shot.reach * (lit ? 1.0f : 0.1f);
+  return hits[0].front && fronts >= 10 && backs <= 2 && shot.reach > 3 * scene.cell_m;
 }
 
 CameraPath overTheMiddle(const ViewScene& scene, const Occupancy& space) {
@@ -244,24 +269,26 @@ float openness(const ViewScene& scene) {
 CameraPath findPath(const ViewScene& scene) {
   const Occupancy space(scene);
   if (openness(scene) > kInteriorOpenness && coveredPlan(scene) < kInteriorPlan) return overTheMiddle(scene, space);
-  std::vector<Vec3> floors;
+  std::vector<const formats::Node*> floors;
   for (const formats::Node& n : scene.patches)
-    if (isFloorUnderRoof(n)) floors.push_back(n.centroid);
+    if (isFloorUnderRoof(n)) floors.push_back(&n);
   const Vec3 size = scene.bounds.hi - scene.bounds.lo;
   const float extent = std::min(length(size), 60 * scene.cell_m);
   std::vector<Shot> shots;
   const size_t stride = std::max<size_t>(1, floors.size() / kCandidates);
   for (size_t i = 0; i < floors.size(); i += stride) {
-    const Shot shot = bestShot(space, floors[i], scene.cell_m, extent);
+    Shot shot = bestShot(space, floors[i]->centroid, scene.cell_m, extent);
+    shot.sky = floors[i]->sky > floors[i]->quanta / 100;
     if (shot.score > 0) shots.push_back(shot);
   }
   std::stable_sort(shots.begin(), shots.end(), [](const Shot& a, const Shot& b) { return a.score > b.score; });
   Shot best;
+  best.score = 0;
   int confirmations = 0;
   for (size_t i = 0; i < std::min(shots.size(), kLookedAt) && confirmations < kConfirmed; ++i) {
     if (!confirmed(scene, shots[i])) continue;
     ++confirmations;
-    if (shots[i].reach > best.reach) best = shots[i];
+    if (shots[i].score > best.score) best = shots[i];
   }
   if (confirmations == 0) return overTheMiddle(scene, space);
   CameraPath path;

@@ -23,6 +23,10 @@ using Clock = std::chrono::steady_clock;
 
 constexpr float kRadiusCells = 24;
 constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
+// Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small. White cavities take
+// hundreds of iterations; what is left of them then shows in the comparison.
+constexpr float kConverged = 1e-6f;
+constexpr int kMostIterations = 64;
 constexpr double kAdaptionSeconds = 0.7;  // in which automatic exposure follows all but 1/e of a change
 
 double msSince(Clock::time_point start) {
@@ -103,7 +107,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto r = streamer.settle(); !r) return r.error();
   auto stats = updater.frame(view.eye, velocity, f.options.iterations);
   if (!stats) return stats.error();
-  auto iterations = updater.converge(3e-5f, 128);
+  auto iterations = updater.converge(kConverged, kMostIterations);
   if (!iterations) return iterations.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();
