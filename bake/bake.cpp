@@ -12,6 +12,7 @@
 #include <cstring>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "bake/form_factor.h"
@@ -72,13 +73,29 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   if (s.rays < 1 || s.rays > 65535) return usage("rays must be 1 to 65535", "4096 is a good value");
   if (s.quanta < 1 || s.quanta > formats::kMaxQuanta) return usage("quanta must be 1 to 65535", "512 is a good value");
   if (!(s.cell_m >= 0) || !std::isfinite(s.cell_m)) return usage("patch size must be positive", "give metres");
+  if (!(s.metals >= 0 && s.metals <= 1)) return usage("the share of metals must be 0 to 1", "1 is a good value");
+  if (scene.triangles.empty())
+    return Error{ErrorCode::kInvalidFile, scene.name, "", "the scene has no triangles", "export its meshes as triangles"};
   if (s.cell_m == 0 && s.patch_budget < 1) return usage("patch budget must be positive", "60000 is a good value");
   return {};
 }
 
+// The scene less the triangles of the named materials.
+Result<Scene> without(const Scene& scene, const std::vector<std::string>& names) {
+  Scene rest = scene;
+  for (const std::string& name : names) {
+    const size_t before = rest.triangles.size();
+    std::erase_if(rest.triangles, [&](const Triangle& t) { return rest.materials[t.material].name == name; });
+    if (rest.triangles.size() == before)
+      return Error{ErrorCode::kUsage, scene.name, "", "no triangle has a material named \"" + name + "\"",
+                   "see the file's materials"};
+  }
+  return rest;
+}
+
 // Cuts with the given patch size, or finds the size that meets the budget within 10 % (four cuts at most).
 Result<PatchSet> choosePatches(const Scene& scene, const BakeSettings& s) {
-  if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m});
+  if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m, .metals = s.metals});
   double area = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto& v = scene.triangles[t].v;
@@ -88,7 +105,7 @@ Result<PatchSet> choosePatches(const Scene& scene, const BakeSettings& s) {
   }
   double cell = std::sqrt(area / s.patch_budget);
   for (int attempt = 0;; ++attempt) {
-    auto set = makePatches(scene, {.cell_m = static_cast<float>(cell)});
+    auto set = makePatches(scene, {.cell_m = static_cast<float>(cell), .metals = s.metals});
     if (!set) return set;
     const double ratio = static_cast<double>(set->patches.size()) / s.patch_budget;
     if (attempt == 3 || (ratio < 1.1 && ratio > 0.9)) return set;
@@ -107,6 +124,8 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(&s.rays, sizeof s.rays);
   put(&s.quanta, sizeof s.quanta);
   put(&s.seed, sizeof s.seed);
+  put(&s.metals, sizeof s.metals);
+  for (const std::string& name : s.leave_out) put(name.c_str(), name.size() + 1);
   put(FF_VERSION, sizeof FF_VERSION);
   XXH128_canonical_t digest;
   XXH128_canonicalFromHash(&digest, XXH3_128bits(bytes.data(), bytes.size()));
@@ -134,19 +153,20 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     uint16_t count;
   };
   std::vector<Entry> entries;
+  const uint32_t quanta = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
   ExchangeRow row;
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
-    sampleRow(row, exchange.area(n), s.quanta, offset, sampled);
+    sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     formats::Node node = values[n].node;
-    node.quanta = s.quanta;
+    node.quanta = quanta;
     node.sky = sampled.sky;
     node.absorbed = sampled.absorbed;
     node.sky_direction = row.sky_direction;
-    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(s.quanta);
+    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
     const float most = seen > 0 ? kMostReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
     node.albedo = ff::min(node.albedo, {most, most, most});
@@ -171,9 +191,16 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
 
 }  // namespace
 
-Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, const std::string& path,
+Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
                             const Progress& progress) {
   const auto began = Clock::now();
+  std::optional<Scene> part;
+  if (!settings.leave_out.empty()) {
+    auto rest = without(whole, settings.leave_out);
+    if (!rest) return rest.error();
+    part = std::move(*rest);
+  }
+  const Scene& scene = part ? *part : whole;
   if (auto ok = checkSettings(scene, settings); !ok) return ok.error();
   const int threads = settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency());
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(std::max(1, threads)));

@@ -14,13 +14,18 @@ namespace ff::bake {
 // would never lose any light: albedo is lowered where albedo * (1 - (sky + absorbed) / Q) is larger.
 inline constexpr float kMostReflected = 0.999f;
 
+// A cluster lights as the mean of many receivers, so its row needs fewer samples than a patch's: Q times this (at least 1).
+inline constexpr double kClusterQuanta = 0.5;
+
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
   uint32_t rays = 4096;           // per patch, 1..65535
-  uint32_t quanta = 512;          // Q, 1..65535
+  uint32_t quanta = 512;          // Q of a patch's row, 1..65535; clusters have kClusterQuanta of it
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
+  float metals = 1;               // PatchSettings::metals
+  std::vector<std::string> leave_out{};  // materials, by name, whose triangles take no part: toon outlines, helpers
   bool geometry = true;           // write drawing geometry
 };
 
@@ -44,9 +49,9 @@ struct BakeStats {
 // ten times a second, never concurrently.
 using Progress = std::function<void(const char* phase, uint64_t done, uint64_t total)>;
 
-// Bakes `scene` into the world at `path` (a .ffm manifest and its shards). Errors: kUsage (settings), kInvalidFile (a scene
+// Bakes a scene into the world at `path` (a .ffm manifest and its shards). Errors: kUsage (settings), kInvalidFile (a scene
 // without surface), kIo. Nothing is left behind on an error.
-Result<BakeStats> bakeWorld(const Scene& scene, const BakeSettings& settings, const std::string& path,
+Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
                             const Progress& progress = {});
 
 }  // namespace ff::bake

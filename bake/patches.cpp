@@ -361,7 +361,7 @@ class PatchBuilder {
     Patch& patch = set_.patches[p];
     uint32_t at = patch.first_triangle;
     double area = 0, solid = 0;
-    SurfaceMean mean;
+    SurfaceMean mean(settings_.metals);
     Point centre{0, 0, 0};
     Vec3 normal;
     const float s = settings_.cell_m;

@@ -61,6 +61,8 @@ class PatchSet {
 struct PatchSettings {
   float cell_m = 1;
   float crumb_fraction = 0.05f;
+  float metals = 1;  // share of a metal's mirror reflection that is carried on as diffuse light: albedo =
+                     // base colour * (1 - metallic * (1 - metals)). 1 keeps its energy, 0 its darkness in a diffuse model.
 };
 
 // Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.

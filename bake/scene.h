@@ -28,7 +28,7 @@ struct Material {
   std::string name;
   Vec3 base_color{1, 1, 1};      // linear factor
   float alpha = 1;               // factor
-  float metallic = 1;            // diffuse albedo = base colour * (1 - metallic)
+  float metallic = 1;            // how much of the reflection is a mirror's; see PatchSettings::metals
   Vec3 emission;                 // radiance factor, W/(m2 sr): emissiveFactor * KHR_materials_emissive_strength
   uint32_t base_image = kNone;   // multiplies base_color and alpha; texture coordinates are Scene::uv0
   uint32_t emission_image = kNone;  // multiplies emission; Scene::uv1 (already chosen and transformed by the importer)

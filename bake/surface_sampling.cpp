@@ -121,7 +121,7 @@ float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, f
   const double w = static_cast<double>(area_m2 * fraction) / solid;
   weight_ += static_cast<double>(area_m2 * fraction);
   for (int a = 0; a < 3; ++a) {
-    albedo_[a] += w * static_cast<double>(colour[a] * m.base_color[a] * (1 - m.metallic));
+    albedo_[a] += w * static_cast<double>(colour[a] * m.base_color[a] * (1 - m.metallic * (1 - metals_)));
     emission_[a] += w * static_cast<double>(light[a] * m.emission[a]);
   }
   return fraction;

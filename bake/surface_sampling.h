@@ -14,12 +14,14 @@ std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p);
 // Area-weighted means over pieces; textures are averaged at up to 64 well-spread points a piece, more for larger pieces.
 class SurfaceMean {
  public:
+  explicit SurfaceMean(float metals) : metals_(metals) {}  // see PatchSettings::metals
   // Adds piece (p, q, r) of scene triangle t, area_m2 large; returns the fraction of it that is not hole.
   float add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, float area_m2);
   Vec3 albedo() const;
   Vec3 emission() const;  // radiosity, W/m2: pi * radiance
 
  private:
+  float metals_;
   double weight_ = 0;
   double albedo_[3] = {}, emission_[3] = {};
 };

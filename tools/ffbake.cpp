@@ -111,6 +111,10 @@ int main(int argc, char** argv) {
   app.add_option("--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
+  app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  app.add_option("--leave-out", settings.leave_out, "materials, by name, whose triangles take no part (toon outlines)");
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
   app.add_flag("--quiet", quiet, "no progress");
   app.add_flag("--json", json, "print what was baked as JSON");

@@ -133,6 +133,37 @@ TEST_F(Bake, APatchHalfInsideASolidIsAsBrightAsItsExposedHalf) {
   EXPECT_LT(sky, 0.95);
 }
 
+TEST_F(Bake, LeavesOutTheMaterialsItIsToldToAndRefusesAnUnknownOne) {
+  Scene s = parallelSquares();
+  s.materials[0].name = "floor";
+  s.materials[1].name = "outline";
+  const auto all = bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16}, path("all.ffm"));
+  const auto rest = bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16, .leave_out = {"outline"}}, path("rest.ffm"));
+  ASSERT_TRUE(all && rest);
+  EXPECT_EQ(all->levels[0].nodes, 2u);
+  EXPECT_EQ(rest->levels[0].nodes, 1u);
+  EXPECT_EQ(rest->sky_fraction, 1);
+  auto a = formats::World::open(path("all.ffm")), b = formats::World::open(path("rest.ffm"));
+  ASSERT_TRUE(a && b);
+  EXPECT_NE(a->info().bake_key, b->info().bake_key);
+  const auto unknown = bakeWorld(s, {.cell_m = 1, .leave_out = {"Outline"}}, path("unknown.ffm"));
+  ASSERT_FALSE(unknown);
+  EXPECT_EQ(unknown.error().code, ErrorCode::kUsage);
+}
+
+TEST_F(Bake, CarriesTheAskedShareOfAMetalsReflectionAsDiffuse) {
+  Scene s = parallelSquares();
+  for (Material& m : s.materials) m.metallic = 0.8f;  // base colour 0.5
+  for (const float metals : {0.0f, 0.25f, 1.0f}) {
+    ASSERT_TRUE(bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16, .metals = metals}, path("metal.ffm")));
+    auto world = formats::World::open(path("metal.ffm"));
+    ASSERT_TRUE(world);
+    auto strip = world->strip({0, 0});
+    ASSERT_TRUE(strip);
+    EXPECT_NEAR(strip->nodes[0].albedo.x, 0.5f * (1 - 0.8f * (1 - metals)), 2e-5f);
+  }
+}
+
 TEST_F(Bake, LowersAnAlbedoOfOneInAClosedRoomAndSaysSo) {
   const auto stats = bakeWorld(closedBox({1, 0.5f, 1}, {}), {.cell_m = 0.25f, .rays = 64, .quanta = 64}, path("white.ffm"));
   ASSERT_TRUE(stats);
