@@ -108,6 +108,9 @@ int main(int argc, char** argv) {
   app.add_option("--radius", o.radius_m, "m around the eye with light patch by patch; default: 24 cells")->check(CLI::PositiveNumber);
   app.add_option("--max-patches", o.max_patches, "of the finest level, active at once");
   app.add_option("--iterations", o.iterations, "of the solver per frame")->check(CLI::Range(1, 1000))->capture_default_str();
+  app.add_option("--settle", o.settle, "more of them, at most, before a picture: white closed rooms take thousands")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str();
   app.add_option("--exposure", texts.exposure, "auto, or stops on radiosity in W/m2")->capture_default_str();
   app.add_option("--samples", o.samples, "per pixel and axis")->check(CLI::Range(1, 4))->capture_default_str();
   app.add_option("--sun", texts.sun, "towards the sun: azimuth,elevation (degrees) or x,y,z");

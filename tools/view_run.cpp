@@ -26,7 +26,6 @@ constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % o
 // Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small. White cavities take
 // hundreds of iterations; what is left of them then shows in the comparison.
 constexpr float kConverged = 1e-6f;
-constexpr int kMostIterations = 64;
 constexpr double kAdaptionSeconds = 0.7;  // in which automatic exposure follows all but 1/e of a change
 
 double msSince(Clock::time_point start) {
@@ -107,7 +106,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto r = streamer.settle(); !r) return r.error();
   auto stats = updater.frame(view.eye, velocity, f.options.iterations);
   if (!stats) return stats.error();
-  auto iterations = updater.converge(kConverged, kMostIterations);
+  auto iterations = updater.converge(kConverged, f.options.settle);
   if (!iterations) return iterations.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();

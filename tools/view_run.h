@@ -23,6 +23,7 @@ struct RunOptions {
   std::optional<runtime::Sky> sky;
   bool lamps_only = false;               // neither sun nor sky
   int iterations = 8;                    // a frame
+  int settle = 64;                       // at most, more of them before a picture; white closed rooms take thousands
   uint32_t samples = 2;                  // per pixel and axis
   bool compare = true;                   // full-world solve and difference pictures
 };
