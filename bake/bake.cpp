@@ -22,6 +22,7 @@
 #include "bake/ray_caster.h"
 #include "bake/row_sampling.h"
 #include "bake/spatial_index.h"
+#include "bake/surface_sampling.h"
 #include "formats/writer.h"
 #include "tools/version.h"
 
@@ -98,10 +99,7 @@ Result<PatchSet> choosePatches(const Scene& scene, const BakeSettings& s) {
   if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m, .metals = s.metals});
   double area = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
-    const auto& v = scene.triangles[t].v;
-    const Vec3 a = scene.positions[v[0]];
-    const double one = 0.5 * static_cast<double>(length(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a)));
-    area += one * (scene.materials[scene.triangles[t].material].double_sided ? 2 : 1);
+    area += static_cast<double>(triangleArea(scene, t)) * (scene.materials[scene.triangles[t].material].double_sided ? 2 : 1);
   }
   double cell = std::sqrt(area / s.patch_budget);
   for (int attempt = 0;; ++attempt) {

@@ -11,6 +11,25 @@
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
+namespace {
+
+RTCRay toEmbree(const Ray& ray, float distance_m) {
+  RTCRay r;
+  r.org_x = ray.origin.x;
+  r.org_y = ray.origin.y;
+  r.org_z = ray.origin.z;
+  r.dir_x = ray.direction.x;
+  r.dir_y = ray.direction.y;
+  r.dir_z = ray.direction.z;
+  r.tnear = 0;
+  r.tfar = distance_m;
+  r.mask = ~0u;
+  r.time = 0;
+  r.flags = 0;
+  return r;
+}
+
+}  // namespace
 
 struct RayCaster::State {
   const Scene* scene = nullptr;
@@ -35,17 +54,7 @@ struct RayCaster::State {
 
   RTCRayHit cast(const Ray& ray) const {
     RTCRayHit rh;
-    rh.ray.org_x = ray.origin.x;
-    rh.ray.org_y = ray.origin.y;
-    rh.ray.org_z = ray.origin.z;
-    rh.ray.dir_x = ray.direction.x;
-    rh.ray.dir_y = ray.direction.y;
-    rh.ray.dir_z = ray.direction.z;
-    rh.ray.tnear = 0;
-    rh.ray.tfar = std::numeric_limits<float>::infinity();
-    rh.ray.mask = ~0u;
-    rh.ray.time = 0;
-    rh.ray.flags = 0;
+    rh.ray = toEmbree(ray, std::numeric_limits<float>::infinity());
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
@@ -128,18 +137,7 @@ Hit RayCaster::nearest(const Ray& ray) const {
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {
-  RTCRay r;
-  r.org_x = ray.origin.x;
-  r.org_y = ray.origin.y;
-  r.org_z = ray.origin.z;
-  r.dir_x = ray.direction.x;
-  r.dir_y = ray.direction.y;
-  r.dir_z = ray.direction.z;
-  r.tnear = 0;
-  r.tfar = distance_m;
-  r.mask = ~0u;
-  r.time = 0;
-  r.flags = 0;
+  RTCRay r = toEmbree(ray, distance_m);
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
   rtcOccluded1(state_->embree, &context, &r);

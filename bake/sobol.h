@@ -71,7 +71,6 @@ class SobolTable {
             static_cast<uint32_t>(b >> 32)};
   }
 
-  uint32_t count() const { return static_cast<uint32_t>(points_.size()); }
 
  private:
   static uint32_t reverse(uint32_t x) {

@@ -51,12 +51,6 @@ float triangleArea(const Scene& scene, uint32_t t) {
   return 0.5f * length(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a));
 }
 
-Vec3 triangleNormal(const Scene& scene, uint32_t t) {
-  const auto& v = scene.triangles[t].v;
-  const Vec3 a = scene.positions[v[0]];
-  return normalized(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a));
-}
-
 bool isHole(const Scene& scene, uint32_t t, float b, float c) {
   const Material& m = scene.materials[scene.triangles[t].material];
   if (!m.cutout) return false;

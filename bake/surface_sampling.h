@@ -5,7 +5,6 @@
 namespace ff::bake {
 
 float triangleArea(const Scene& scene, uint32_t t);  // m2
-Vec3 triangleNormal(const Scene& scene, uint32_t t);  // unit
 // Whether a cutout triangle lets a ray through at a point; b, c: barycentric weights of corners 1 and 2.
 bool isHole(const Scene& scene, uint32_t t, float b, float c);
 // Barycentric weights of corners 1 and 2 at point p of triangle t's plane.
