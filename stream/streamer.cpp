@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
-#include <map>
+#include <utility>
 
 #include "stream/file_source.h"
 #include "stream/strip_loader.h"
@@ -36,18 +36,24 @@ class StreamerImpl final : public Streamer {
  public:
   StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source)
       : world_(world),
+        numbers_(world),
         wanted_(world, settings),
-        cache_(settings.memory_bytes),
+        cache_(world, settings.memory_bytes),
+        failures_(numbers_.tiles()),
+        last_active_(numbers_.tiles()),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads) {
-    for (const formats::LevelInfo& level : world.levels()) last_active_.emplace_back(level.tiles, 0);
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.mostWanted()) {
+    previous_.reserve(wanted_.mostWanted());
+    missing_.reserve(wanted_.mostWanted());
+    active_.reserve(wanted_.mostWanted());
+    next_active_.reserve(wanted_.mostWanted());
   }
 
   Result<void> loadTop() {
     for (const formats::TileInfo& info : world_.tiles(static_cast<uint32_t>(world_.levels().size() - 1))) {
       auto strip = loadNow(world_, *source_, info.id);
       if (!strip) return strip.error();
-      cache_.insert(std::move(*strip), true);
+      cache_.insert(std::move(*strip), true, loader_.retired());
       ++stats_.strips_read;
       stats_.bytes_read += info.stored_bytes;
       previous_.push_back(info.id);
@@ -81,26 +87,33 @@ class StreamerImpl final : public Streamer {
   StreamStats stats() const override {
     StreamStats stats = stats_;
     stats.evicted = cache_.evicted();
+    stats.cancelled = loader_.cancelled();
     stats.resident_bytes = cache_.bytes();
     stats.peak_resident_bytes = cache_.peakBytes();
-    stats.resident_tiles = static_cast<uint32_t>(cache_.tiles());
+    stats.resident_tiles = cache_.tiles();
     stats.wanted_tiles = static_cast<uint32_t>(previous_.size());
     const StripLoader::Backlog backlog = loader_.backlog();
     stats.pending_tiles = backlog.queued + backlog.under_way + backlog.arrived;
     return stats;
   }
 
+  std::string lastFailure() const override { return loader_.lastFailure(); }
+
  private:
+  struct Missing {
+    float need;  // distance over radius, where the observer will be
+    TileId id;
+  };
+
   void takeArrivals() {
-    arrivals_.clear();
-    loader_.take(arrivals_);
-    for (StripLoader::Arrival& arrival : arrivals_) {
+    if (!loader_.anyArrived()) return;
+    for (StripLoader::Arrival& arrival : loader_.take()) {
       ++stats_.strips_read;
       stats_.bytes_read += arrival.stored_bytes;
       const bool wanted = wanted_.isWanted(arrival.id);
       if (arrival.strip)
-        cache_.insert(std::move(arrival.strip), wanted);
-      else if (wanted && ++failures_[arrival.id] == 2)
+        cache_.insert(std::move(arrival.strip), wanted, loader_.retired());
+      else if (wanted && ++failures_[numbers_.of(arrival.id)] == kGivenUp)
         ++stats_.failed;
     }
   }
@@ -110,7 +123,7 @@ class StreamerImpl final : public Streamer {
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id)) continue;
       cache_.setWanted(id, false);
-      failures_.erase(id);  // the next visit may try again
+      failures_[numbers_.of(id)] = 0;  // the next visit may try again
     }
     for (const TileId id : now) cache_.setWanted(id, true);
     previous_.assign(now.begin(), now.end());
@@ -118,26 +131,20 @@ class StreamerImpl final : public Streamer {
 
   // Wanted tiles that are neither here nor given up; the loader leaves out those on their way.
   void queueMissing() {
-    struct Missing {
-      float need;  // distance over radius, where the observer will be
-      TileId id;
-    };
     const Vec3 ahead = observer_ + velocity_ * kLookAheadSeconds;
-    std::vector<Missing> missing;
-    for (const TileId id : previous_) {
-      if (cache_.find(id)) continue;
-      const auto failure = failures_.find(id);
-      if (failure != failures_.end() && failure->second >= 2) continue;
-      missing.push_back({world_.tiles(id.level)[id.tile].bounds.distance(ahead) / wanted_.radius(id.level), id});
-    }
-    // A tile is of no use before its ancestors: coarser first where the need is the same.
-    std::sort(missing.begin(), missing.end(), [](const Missing& a, const Missing& b) {
-      if (a.need != b.need) return a.need < b.need;
-      return a.id.level != b.id.level ? a.id.level > b.id.level : a.id.tile < b.id.tile;
+    missing_.clear();
+    for (const TileId id : previous_)
+      if (!cache_.find(id) && failures_[numbers_.of(id)] < kGivenUp)
+        missing_.push_back({world_.tiles(id.level)[id.tile].bounds.distance(ahead) / wanted_.radius(id.level), id});
+    const bool had_queue = std::exchange(has_queue_, !missing_.empty());
+    if (!had_queue && !has_queue_ && loader_.retired().empty()) return;
+    // The most urgent last. A tile is of no use before its ancestors: coarser first where the need is the same.
+    std::sort(missing_.begin(), missing_.end(), [](const Missing& a, const Missing& b) {
+      if (a.need != b.need) return a.need > b.need;
+      return a.id.level != b.id.level ? a.id.level < b.id.level : a.id.tile > b.id.tile;
     });
-    std::vector<TileId> queue;
-    for (const Missing& m : missing) queue.push_back(m.id);
-    stats_.cancelled += loader_.setQueue(std::move(queue));
+    for (const Missing& m : missing_) loader_.queue().push_back(m.id);
+    loader_.submit();
   }
 
   // From the top down, so that ancestors are decided first. Returns whether the set has changed.
@@ -146,16 +153,17 @@ class StreamerImpl final : public Streamer {
     next_active_.clear();
     for (size_t i = previous_.size(); i-- > 0;) {
       const TileId id = previous_[i];
-      StripPtr strip = cache_.find(id);
+      const StripPtr& strip = cache_.find(id);
       if (!strip) continue;
       bool ancestors = true;
       if (id.level + 1 < world_.levels().size()) {
         const auto [from, to] = parentTiles(world_, id);
-        for (uint32_t p = from; p <= to; ++p) ancestors = ancestors && last_active_[id.level + 1][p] == round_;
+        for (uint32_t p = from; p <= to; ++p)
+          ancestors = ancestors && last_active_[numbers_.of({id.level + 1, p})] == round_;
       }
       if (!ancestors) continue;
-      last_active_[id.level][id.tile] = round_;
-      next_active_.push_back(std::move(strip));
+      last_active_[numbers_.of(id)] = round_;
+      next_active_.push_back(strip);
     }
     std::reverse(next_active_.begin(), next_active_.end());
     if (next_active_ == active_) return false;
@@ -163,17 +171,20 @@ class StreamerImpl final : public Streamer {
     return true;
   }
 
+  static constexpr uint8_t kGivenUp = 2;  // failures
+
   const formats::World& world_;
+  const TileNumbers numbers_;
   WantedTiles wanted_;
   TileCache cache_;
   Vec3 observer_, velocity_;
-  bool started_ = false;
-  std::vector<TileId> previous_;                    // wanted by the last walk, sorted
-  std::map<TileId, int> failures_;                  // of wanted tiles; 2: given up
-  std::vector<std::vector<uint32_t>> last_active_;  // [level][tile]: the last round in which it was active
+  bool started_ = false, has_queue_ = false;
+  std::vector<TileId> previous_;       // wanted by the last walk, sorted
+  std::vector<Missing> missing_;
+  std::vector<uint8_t> failures_;      // by tile number, of wanted tiles
+  std::vector<uint32_t> last_active_;  // by tile number: the last round in which it was active
   uint32_t round_ = 0;
   std::vector<StripPtr> active_, next_active_;
-  std::vector<StripLoader::Arrival> arrivals_;
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // last: its reads end before the source goes

@@ -1,10 +1,11 @@
-// Keeps the strips near the observer in memory. update() runs on the frame thread and never blocks: it takes what has
-// arrived, asks for what is missing (nearest deadline first) and evicts what is no longer wanted. Reading, checking and
-// decoding happen on other threads. The coarsest level is loaded by create() and never leaves.
+// Keeps the strips near the observer in memory. update() runs on the frame thread; it never waits, and allocates and frees
+// nothing: it takes what has arrived, asks for what is missing (nearest deadline first) and evicts what is no longer
+// wanted. Reading, checking, decoding and freeing happen on other threads. The coarsest level is loaded by create() and never leaves.
 #pragma once
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "formats/reader.h"
@@ -45,11 +46,14 @@ class Streamer {
   virtual bool update(Vec3 observer, Vec3 velocity) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and the tiles of all
   // its nodes' parents are active: so the ancestors of an active node are active too. Valid until the next update();
-  // the strips themselves live as long as someone holds them.
+  // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
+  // after the last has let go.
   virtual std::span<const StripPtr> active() const = 0;
   // Blocks until nothing is pending for the last observer (tests, headless pictures), calling update() as it goes.
   virtual Result<void> settle() = 0;
   virtual StreamStats stats() const = 0;
+  // The last strip that could not be read or decoded, as a line with its remedy; empty: none yet.
+  virtual std::string lastFailure() const = 0;
 };
 
 }  // namespace ff::stream

@@ -1,129 +1,216 @@
 #include "stream/strip_loader.h"
 
 #include <algorithm>
-#include <optional>
+#include <utility>
 
 namespace ff::stream {
 
 using formats::TileId;
 
-StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads)
-    : world_(world), source_(source), depth_(static_cast<size_t>(std::max(depth, 1))) {
-  for (int i = 0; i < std::max(decode_threads, 1); ++i) threads_.emplace_back([this] { decode(); });
+StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
+                         size_t most_queued)
+    : world_(world),
+      source_(source),
+      depth_(static_cast<size_t>(std::max(depth, 1))),
+      numbers_(world),
+      under_way_(numbers_.tiles()),
+      last_arrival_(numbers_.tiles()),
+      last_queued_(numbers_.tiles()) {
+  // Lists change places when they are handed over, so each has room for the most that any of them can hold.
+  for (std::vector<TileId>* list : {&next_queue_, &submitted_, &incoming_, &queue_}) list->reserve(most_queued);
+  const size_t most_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
+  for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(most_arrived);
+  for (std::vector<StripPtr>* list : {&next_retired_, &submitted_retired_, &incoming_retired_})
+    list->reserve(numbers_.tiles() + 2 * most_arrived);
+  for (int i = 0; i < std::max(decode_threads, 1); ++i) threads_.emplace_back([this] { work(); });
 }
 
 StripLoader::~StripLoader() {
   {
-    std::unique_lock lock(mutex_);
+    const std::lock_guard lock(pipeline_mutex_);
     stop_ = true;
-    queue_.clear();
-    progress_.wait(lock, [this] { return reads_ == 0; });
   }
-  to_decode_changed_.notify_all();
+  wake();
   for (std::thread& thread : threads_) thread.join();
+  // Nobody starts reads any more.
+  std::unique_lock lock(pipeline_mutex_);
+  reads_done_.wait(lock, [this] { return reads_ == 0; });
 }
 
-uint32_t StripLoader::setQueue(std::vector<TileId> urgent_first) {
-  std::reverse(urgent_first.begin(), urgent_first.end());
-  uint32_t dropped = 0;
+void StripLoader::submit() {
   {
-    const std::lock_guard lock(mutex_);
-    std::erase_if(urgent_first, [this](TileId id) {
-      return under_way_.count(id) != 0 ||
-             std::any_of(arrived_.begin(), arrived_.end(), [id](const Arrival& a) { return a.id == id; });
-    });
-    queue_.swap(urgent_first);
-    const std::set<TileId> kept(queue_.begin(), queue_.end());
-    for (const TileId id : urgent_first)
-      if (kept.count(id) == 0) ++dropped;
+    const std::lock_guard lock(hand_over_mutex_);
+    submitted_.swap(next_queue_);
+    submitted_taken_ = taken_count_;
+    fresh_ = true;
+    if (submitted_retired_.empty()) submitted_retired_.swap(next_retired_);
+    submitted_count_.store(static_cast<uint32_t>(submitted_.size()));
   }
-  startReads();
-  return dropped;
+  next_queue_.clear();
+  wake();
 }
 
-void StripLoader::take(std::vector<Arrival>& out) {
+std::vector<StripLoader::Arrival>& StripLoader::take() {
+  taken_.clear();
   {
-    const std::lock_guard lock(mutex_);
-    for (Arrival& arrival : arrived_) out.push_back(std::move(arrival));
-    arrived_.clear();
-    arrived_count_.store(0, std::memory_order_release);
+    const std::lock_guard lock(hand_over_mutex_);
+    arrived_.swap(taken_);
+    arrived_count_.store(0);
   }
-  startReads();
+  taken_count_ += static_cast<uint32_t>(taken_.size());
+  return taken_;
 }
 
 StripLoader::Backlog StripLoader::backlog() const {
-  const std::lock_guard lock(mutex_);
-  return {static_cast<uint32_t>(queue_.size()), static_cast<uint32_t>(under_way_.size()),
-          static_cast<uint32_t>(arrived_.size())};
+  Backlog backlog;
+  backlog.queued = submitted_count_.load();
+  backlog.queued += queued_count_.load();
+  backlog.under_way = under_way_count_.load();
+  backlog.arrived = arrived_count_.load();
+  return backlog;
 }
 
-void StripLoader::awaitProgress() {
-  std::unique_lock lock(mutex_);
-  progress_.wait(lock, [this] { return !arrived_.empty() || (queue_.empty() && under_way_.empty()); });
+std::string StripLoader::lastFailure() const {
+  const std::lock_guard lock(pipeline_mutex_);
+  return failure_.line();
+}
+
+void StripLoader::awaitProgress() const {
+  for (;;) {
+    const uint32_t seen = progress_.load();
+    const Backlog now = backlog();
+    if (now.arrived != 0 || now.idle()) return;
+    progress_.wait(seen);
+  }
+}
+
+void StripLoader::wake() {
+  wake_.fetch_add(1);
+  wake_.notify_all();
+}
+
+void StripLoader::progress() {
+  progress_.fetch_add(1);
+  progress_.notify_all();
+}
+
+void StripLoader::work() {
+  for (;;) {
+    const uint32_t seen = wake_.load();
+    pickUp();
+    startReads();
+    if (const std::optional<Stored> stored = nextToDecode()) {
+      decode(*stored);
+      continue;
+    }
+    {
+      const std::lock_guard lock(pipeline_mutex_);
+      if (stop_) return;
+    }
+    wake_.wait(seen);
+  }
+}
+
+void StripLoader::pickUp() {
+  const std::lock_guard lock(pipeline_mutex_);
+  bool fresh = false;
+  {
+    const std::lock_guard hand_over_lock(hand_over_mutex_);
+    submitted_retired_.swap(incoming_retired_);
+    fresh = std::exchange(fresh_, false);
+    if (fresh) {
+      submitted_.swap(incoming_);
+      queue_taken_ = submitted_taken_;
+      queued_count_.store(static_cast<uint32_t>(incoming_.size()));
+      submitted_count_.store(0);
+    }
+  }
+  freeRetired();
+  if (!fresh) return;
+  ++queue_number_;
+  for (const TileId id : incoming_) last_queued_[numbers_.of(id)] = queue_number_;
+  uint64_t dropped = 0;
+  for (const TileId id : queue_) dropped += last_queued_[numbers_.of(id)] != queue_number_;
+  cancelled_.fetch_add(dropped);
+  queue_.swap(incoming_);
+  incoming_.clear();
+  progress();
+}
+
+// Nobody can come to share a strip that the list alone holds, so a count of 1 stays.
+void StripLoader::freeRetired() {
+  for (StripPtr& strip : incoming_retired_) retired_.push_back(std::move(strip));
+  incoming_retired_.clear();
+  std::erase_if(retired_, [](const StripPtr& strip) { return strip.use_count() == 1; });
 }
 
 void StripLoader::startReads() {
-  for (;;) {
-    TileId id;
-    {
-      const std::lock_guard lock(mutex_);
-      if (queue_.empty() || under_way_.size() >= depth_ || arrived_.size() >= 4 * depth_) return;
-      id = queue_.back();
-      queue_.pop_back();
-      under_way_.insert(id);
-      ++reads_;
-    }
-    source_.read(id, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+  while (const std::optional<TileId> id = nextRead())
+    source_.read(*id, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+}
+
+std::optional<TileId> StripLoader::nextRead() {
+  const std::lock_guard lock(pipeline_mutex_);
+  std::optional<TileId> found;
+  while (!found && !stop_ && !queue_.empty() && under_way_count_.load() < depth_ && arrived_count_.load() < 4 * depth_) {
+    const TileId id = queue_.back();
+    queue_.pop_back();
+    const uint32_t number = numbers_.of(id);
+    // Whoever made the queue did not know of arrivals after the queue_taken_-th. (Differences: counters may wrap.)
+    const bool arrived = static_cast<int32_t>(last_arrival_[number] - queue_taken_) > 0;
+    if (under_way_[number] == 0 && !arrived) found = id;
   }
+  if (found) {
+    under_way_[numbers_.of(*found)] = 1;
+    under_way_count_.fetch_add(1);
+    ++reads_;
+  }
+  if (queued_count_.exchange(static_cast<uint32_t>(queue_.size())) != queue_.size()) progress();
+  return found;
+}
+
+std::optional<StripLoader::Stored> StripLoader::nextToDecode() {
+  const std::lock_guard lock(pipeline_mutex_);
+  if (to_decode_.empty() || stop_) return std::nullopt;
+  std::optional<Stored> stored = std::move(to_decode_.front());
+  to_decode_.pop_front();
+  return stored;
 }
 
 void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
-  const std::lock_guard lock(mutex_);
-  if (bytes && !stop_) {
+  const std::lock_guard lock(pipeline_mutex_);
+  if (bytes) {
     to_decode_.push_back({id, std::move(*bytes)});
-    to_decode_changed_.notify_one();
   } else {
-    arrive({id, nullptr, 0, bytes ? Error{} : bytes.error()});
-    // A decoder starts the next read: this thread belongs to the source.
-    to_decode_changed_.notify_one();
+    failure_ = bytes.error();
+    arrive(id, nullptr, 0);
   }
+  // A decoder starts the next read: this thread belongs to the source.
+  wake();
   // Last, and under the lock: the destructor returns as soon as it sees no read.
   --reads_;
-  progress_.notify_all();
+  reads_done_.notify_all();
 }
 
-void StripLoader::arrive(Arrival arrival) {
-  under_way_.erase(arrival.id);
-  arrived_.push_back(std::move(arrival));
-  arrived_count_.store(static_cast<uint32_t>(arrived_.size()), std::memory_order_release);
-  progress_.notify_all();
+void StripLoader::decode(const Stored& stored) {
+  auto strip = std::make_shared<formats::Strip>();
+  const Result<void> decoded = world_.decodeStrip(stored.id, stored.bytes, *strip);
+  const std::lock_guard lock(pipeline_mutex_);
+  if (!decoded) failure_ = decoded.error();
+  arrive(stored.id, decoded ? std::move(strip) : nullptr, stored.bytes.size());
 }
 
-void StripLoader::decode() {
-  for (;;) {
-    std::optional<Stored> stored;
-    {
-      std::unique_lock lock(mutex_);
-      to_decode_changed_.wait(lock, [this] {
-        return stop_ || !to_decode_.empty() ||
-               (!queue_.empty() && under_way_.size() < depth_ && arrived_.size() < 4 * depth_);
-      });
-      if (stop_) return;
-      if (!to_decode_.empty()) {
-        stored = std::move(to_decode_.front());
-        to_decode_.pop_front();
-      }
-    }
-    if (stored) {
-      auto strip = std::make_shared<formats::Strip>();
-      const Result<void> decoded = world_.decodeStrip(stored->id, stored->bytes, *strip);
-      Arrival arrival{stored->id, nullptr, stored->bytes.size(), decoded ? Error{} : decoded.error()};
-      if (decoded) arrival.strip = std::move(strip);
-      const std::lock_guard lock(mutex_);
-      arrive(std::move(arrival));
-    }
-    startReads();
+void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
+  const uint32_t number = numbers_.of(id);
+  {
+    const std::lock_guard lock(hand_over_mutex_);
+    arrived_.push_back({id, std::move(strip), stored_bytes});
+    last_arrival_[number] = ++arrivals_;
+    arrived_count_.store(static_cast<uint32_t>(arrived_.size()));
   }
+  under_way_[number] = 0;
+  under_way_count_.fetch_sub(1);
+  progress();
 }
 
 }  // namespace ff::stream

@@ -6,37 +6,57 @@
 
 namespace ff::stream {
 
-bool TileCache::insert(StripPtr strip, bool wanted) {
-  const uint64_t key = keyOf(strip->id), bytes = decodedBytes(*strip);
-  if (items_.count(key) != 0 || (!wanted && bytes_ + bytes > memory_bytes_)) return false;
-  while (bytes_ + bytes > memory_bytes_ && !unwanted_.empty()) {
-    const auto oldest = items_.find(unwanted_.front());
-    bytes_ -= oldest->second.bytes;
-    items_.erase(oldest);
-    unwanted_.pop_front();
-    ++evicted_;
+TileCache::TileCache(const formats::World& world, uint64_t memory_bytes)
+    : numbers_(world), memory_bytes_(memory_bytes), items_(numbers_.tiles()) {}
+
+void TileCache::insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving) {
+  const uint32_t number = numbers_.of(strip->id);
+  const uint64_t bytes = decodedBytes(*strip);
+  if (items_[number].strip || (!wanted && bytes_ + bytes > memory_bytes_)) {
+    leaving.push_back(std::move(strip));
+    return;
   }
-  Item item{std::move(strip), bytes, wanted, {}};
-  if (!wanted) item.queued = unwanted_.insert(unwanted_.end(), key);
-  items_.emplace(key, std::move(item));
+  while (bytes_ + bytes > memory_bytes_ && oldest_ != kNone) {
+    Item& oldest = items_[oldest_];
+    dequeue(oldest_);
+    bytes_ -= oldest.bytes;
+    --tiles_;
+    ++evicted_;
+    leaving.push_back(std::move(oldest.strip));
+    oldest.strip = nullptr;
+  }
+  Item& item = items_[number];
+  item.strip = std::move(strip);
+  item.bytes = bytes;
+  item.wanted = wanted;
+  if (!wanted) enqueue(number);
+  ++tiles_;
   bytes_ += bytes;
   peak_bytes_ = std::max(peak_bytes_, bytes_);
-  return true;
-}
-
-TileCache::StripPtr TileCache::find(formats::TileId id) const {
-  const auto found = items_.find(keyOf(id));
-  return found == items_.end() ? nullptr : found->second.strip;
 }
 
 void TileCache::setWanted(formats::TileId id, bool wanted) {
-  const auto found = items_.find(keyOf(id));
-  if (found == items_.end() || found->second.wanted == wanted) return;
-  found->second.wanted = wanted;
+  const uint32_t number = numbers_.of(id);
+  Item& item = items_[number];
+  if (!item.strip || item.wanted == wanted) return;
+  item.wanted = wanted;
   if (wanted)
-    unwanted_.erase(found->second.queued);
+    dequeue(number);
   else
-    found->second.queued = unwanted_.insert(unwanted_.end(), found->first);
+    enqueue(number);
+}
+
+void TileCache::enqueue(uint32_t number) {
+  items_[number].before = newest_;
+  items_[number].after = kNone;
+  (newest_ == kNone ? oldest_ : items_[newest_].after) = number;
+  newest_ = number;
+}
+
+void TileCache::dequeue(uint32_t number) {
+  const Item& item = items_[number];
+  (item.before == kNone ? oldest_ : items_[item.before].after) = item.after;
+  (item.after == kNone ? newest_ : items_[item.after].before) = item.before;
 }
 
 }  // namespace ff::stream

@@ -28,11 +28,16 @@ std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, TileId id
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
     : world_(world), settings_(settings) {
   float radius = settings.radius_m;
+  size_t tiles = 0;
   for (const formats::LevelInfo& level : world.levels()) {
     radius_m_.push_back(radius);
     last_wanted_.emplace_back(level.tiles, 0);
     radius *= settings.growth;
+    tiles += level.tiles;
   }
+  // A tile has a node at least, and is offered once.
+  wanted_.reserve(std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles)));
+  heap_.reserve(tiles);
 }
 
 std::span<const TileId> WantedTiles::walk(Vec3 observer) {

@@ -18,7 +18,7 @@ uint64_t decodedBytesBound(const formats::World& world, const formats::TileInfo&
 // First and last tile of level + 1 that hold the parents of the tile's nodes. Not for the top level.
 std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, formats::TileId id);
 
-// The wanted set. The top level is always wanted; another tile when the tiles of all its nodes' parents are and its
+// The wanted set; walks allocate nothing. The top level is always wanted; another tile when the tiles of all its nodes' parents are and its
 // bounds are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget
 // that runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level
@@ -30,6 +30,8 @@ class WantedTiles {
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
   std::span<const formats::TileId> walk(Vec3 observer);
   bool isWanted(formats::TileId id) const { return last_wanted_[id.level][id.tile] == walk_; }
+  // Tiles of a walk, at most.
+  size_t mostWanted() const { return wanted_.capacity(); }
   float radius(uint32_t level) const { return radius_m_[level]; }
 
  private:

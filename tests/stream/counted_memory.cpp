@@ -1,0 +1,38 @@
+#include "tests/stream/counted_memory.h"
+
+#include <cstddef>
+#include <cstdlib>
+#include <new>
+
+namespace {
+
+thread_local ff::MemoryCalls calls;
+
+void* counted(std::size_t bytes, std::size_t alignment) {
+  ++calls.allocated;
+  void* const memory = alignment > alignof(std::max_align_t)
+                           ? std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment)
+                           : std::malloc(bytes > 0 ? bytes : 1);
+  if (!memory) throw std::bad_alloc();
+  return memory;
+}
+
+void release(void* memory) {
+  if (!memory) return;
+  ++calls.freed;
+  std::free(memory);
+}
+
+}  // namespace
+
+ff::MemoryCalls ff::memoryCalls() { return calls; }
+
+// The other forms call these, by the standard.
+void* operator new(std::size_t bytes) { return counted(bytes, 1); }
+void* operator new(std::size_t bytes, std::align_val_t alignment) {
+  return counted(bytes, static_cast<std::size_t>(alignment));
+}
+void operator delete(void* memory) noexcept { release(memory); }
+void operator delete(void* memory, std::size_t) noexcept { release(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { release(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { release(memory); }

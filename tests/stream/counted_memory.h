@@ -1,0 +1,15 @@
+// Counts what each thread allocates and frees with operator new and delete, for tests of frame paths. The program that
+// links counted_memory.cpp has its operators replaced.
+#pragma once
+#include <cstdint>
+
+namespace ff {
+
+struct MemoryCalls {
+  uint64_t allocated = 0, freed = 0;
+};
+
+// Calls of this thread so far.
+MemoryCalls memoryCalls();
+
+}  // namespace ff
