@@ -15,12 +15,16 @@ namespace ff {
 // The values are the exit codes of every tool.
 enum class ErrorCode { kUsage = 1, kIo = 2, kInvalidFile = 3, kPhysics = 4 };
 
+// What a caller may recover from by other means than the user's: a GPU that is gone or full leaves the CPU.
+enum class ErrorCause { kOther, kDeviceLost, kOutOfDeviceMemory };
+
 struct Error {
   ErrorCode code = ErrorCode::kIo;
   std::string file;     // as the user named it; empty: no file is involved
   std::string place;    // "offset 4096", "accessor 3", "strip 1:17"; may be empty
   std::string message;  // what is wrong
   std::string remedy;   // what to do about it; may be empty
+  ErrorCause cause = ErrorCause::kOther;
 
   // "file: place: message; remedy", on one line.
   std::string line() const {

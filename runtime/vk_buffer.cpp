@@ -40,7 +40,15 @@ Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse
       return Allocation{b->memory, *at, needs.size, b->mapped ? b->mapped + *at : nullptr, i};
   }
   auto info = zeroed<VkMemoryAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO);
-  info.allocationSize = std::max(needs.size, kBlockBytes);
+  uint64_t left = bytesLeft(type);
+  if (needs.size > left) {
+    freeEmptyBlocks();
+    left = bytesLeft(type);
+  }
+  if (needs.size > left) return vkError("vkAllocateMemory", VK_ERROR_OUT_OF_DEVICE_MEMORY);
+  // An eighth of a small budget: device memory, host memory and images need a block each.
+  const uint64_t block_bytes = context_.memoryBytes() ? std::min(kBlockBytes, context_.memoryBytes() / 8) : kBlockBytes;
+  info.allocationSize = std::max(needs.size, std::min(block_bytes, left));
   info.memoryTypeIndex = type;
   VkDeviceMemory memory = VK_NULL_HANDLE;
   if (const VkResult r = vkAllocateMemory(context_.device(), &info, nullptr, &memory); r != VK_SUCCESS)
@@ -66,13 +74,32 @@ Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse
   return a;
 }
 
+uint64_t VkHeap::bytesLeft(uint32_t type) const {
+  const uint32_t heap = properties_.memoryTypes[type].heapIndex;
+  uint64_t used = 0;
+  for (const auto& b : blocks_)
+    if (b && properties_.memoryTypes[b->type].heapIndex == heap) used += b->size;
+  uint64_t left = properties_.memoryHeaps[heap].size - std::min(properties_.memoryHeaps[heap].size, used);
+  if (const uint64_t budget = context_.memoryBytes()) left = std::min(left, budget - std::min(budget, allocated_bytes_));
+  return left;
+}
+
+void VkHeap::freeBlock(std::unique_ptr<Block>& block) {
+  vkFreeMemory(context_.device(), block->memory, nullptr);
+  allocated_bytes_ -= block->size;
+  block.reset();
+}
+
+void VkHeap::freeEmptyBlocks() {
+  for (auto& b : blocks_)
+    if (b && b->ranges.empty()) freeBlock(b);
+}
+
 void VkHeap::release(const Allocation& allocation) {
   Block* b = blocks_[allocation.block].get();
   b->ranges.release(allocation.offset, allocation.size);
   if (!b->ranges.empty() || b->size <= kBlockBytes) return;  // ordinary blocks are kept for the next request
-  vkFreeMemory(context_.device(), b->memory, nullptr);
-  allocated_bytes_ -= b->size;
-  blocks_[allocation.block].reset();
+  freeBlock(blocks_[allocation.block]);
 }
 
 Result<Buffer> Buffer::create(VkContext& context, uint64_t bytes, VkBufferUsageFlags usage, MemoryUse use) {

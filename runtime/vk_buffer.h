@@ -34,6 +34,7 @@ class VkHeap {
  public:
   explicit VkHeap(VkContext& context);
   ~VkHeap();
+  // Errors (kOutOfDeviceMemory): the device refuses, the heap is full, or the context's memory_bytes would be passed.
   // linear: buffers; otherwise images. The two never share a block, so bufferImageGranularity cannot be violated.
   Result<Allocation> allocate(const VkMemoryRequirements& needs, MemoryUse use, bool linear);
   void release(const Allocation& allocation);
@@ -48,6 +49,9 @@ class VkHeap {
     uint64_t size;
     RangeAllocator ranges;
   };
+  uint64_t bytesLeft(uint32_t type) const;
+  void freeBlock(std::unique_ptr<Block>& block);
+  void freeEmptyBlocks();
   VkContext& context_;
   VkPhysicalDeviceMemoryProperties properties_{};
   std::vector<std::unique_ptr<Block>> blocks_;  // null where a block was given back

@@ -1,5 +1,6 @@
 // A Vulkan device to run on, without vulkan.h: for callers that only want a Solver. vk_device.h is the inside.
 #pragma once
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <vector>
@@ -13,9 +14,11 @@ struct VulkanChoice {
                                 // (lavapipe); else part of a device's name, any case
   bool validate = false;        // Khronos layer with synchronisation validation; messages are kept, see below
   bool gpu_assisted = false;    // with validate: also instruments the shaders (slow)
+  uint64_t memory_bytes = 0;    // device memory to take at most, past it kOutOfDeviceMemory; 0: the size of the heap
 };
 
 // Instance, device and one queue with compute and graphics. Not thread-safe. Lives as long as anything made from it.
+// A caller that has a device already uses VkContext::adopt (vk_device.h).
 class VkContext;
 
 // Errors (kIo): no driver, no such device (the line lists those that exist), a missing feature, no validation layer.

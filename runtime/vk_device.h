@@ -1,7 +1,9 @@
-// Instance, physical device, device, queue. Core Vulkan 1.2, nothing beyond it is needed.
+// Instance, physical device, device, queue: our own or the caller's. Core Vulkan 1.2, nothing beyond it is needed; of its
+// optional parts: timelineSemaphore and subgroup arithmetic in compute shaders.
 #pragma once
 #include <vulkan/vulkan.h>
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -23,12 +25,18 @@ T zeroed(VkStructureType type) {
   return t;
 }
 
-// "vkCreateBuffer failed: VK_ERROR_OUT_OF_DEVICE_MEMORY", kIo.
+// "vkCreateBuffer failed: VK_ERROR_OUT_OF_DEVICE_MEMORY", kIo; cause tells a lost and a full device apart from the rest.
 Error vkError(const char* call, VkResult result);
 
 class VkContext {
  public:
   static Result<std::shared_ptr<VkContext>> open(const VulkanChoice& choice);
+  // Runs on the caller's device and destroys nothing of it. The instance's and the device's API version must be at least
+  // 1.2, `timelineSemaphore` must have been enabled, and queue_family must be able to compute (graphics is not needed).
+  // The caller does not use the queue while a call that waits runs (Vulkan's rule: queues are externally synchronised),
+  // and destroys the device only after the context. memory_bytes: as VulkanChoice.
+  static Result<std::shared_ptr<VkContext>> adopt(VkInstance instance, VkPhysicalDevice physical, VkDevice device,
+                                                  uint32_t queue_family, VkQueue queue, uint64_t memory_bytes = 0);
   VkContext(const VkContext&) = delete;
   VkContext& operator=(const VkContext&) = delete;
   ~VkContext();
@@ -38,6 +46,9 @@ class VkContext {
   const VkPhysicalDeviceLimits& limits() const { return properties_.limits; }
   std::string deviceName() const { return properties_.deviceName; }
   uint32_t subgroupSize() const { return subgroup_size_; }
+  uint32_t queueFamily() const { return family_; }
+  bool hasTimestamps() const { return has_timestamps_; }
+  uint64_t memoryBytes() const { return memory_bytes_; }  // VulkanChoice::memory_bytes
   VkHeap& heap() { return *heap_; }
   std::vector<std::string> messages() const;
 
@@ -46,15 +57,29 @@ class VkContext {
   // visible to the host and to the next run().
   Result<double> run(const std::function<void(VkCommandBuffer)>& record);
 
+  // Our submissions are numbered 1, 2, ...; a timeline semaphore counts those that have finished. A submission that the
+  // device does not finish within two minutes counts as a lost device.
+  Result<uint64_t> submit(VkCommandBuffer commands);
+  Result<void> wait(uint64_t submission);
+  // The device reported VK_ERROR_DEVICE_LOST: every later submission fails with it at once.
+  bool lost() const { return lost_; }
+  // For tests of what follows: so many more submissions succeed, then the device counts as lost.
+  void loseDeviceAfter(uint64_t submissions) { submissions_until_lost_ = submissions; }
+
  private:
   VkContext() = default;
   Result<void> createInstance(const VulkanChoice& choice);
   Result<void> choosePhysicalDevice(const std::string& wanted);
   Result<void> createDevice(const VulkanChoice& choice);
+  void readProperties();
+  Result<void> createOwnObjects();
+  Error failed(const char* call, VkResult result);
   static VKAPI_ATTR VkBool32 VKAPI_CALL onMessage(VkDebugUtilsMessageSeverityFlagBitsEXT severity,
                                                   VkDebugUtilsMessageTypeFlagsEXT type,
                                                   const VkDebugUtilsMessengerCallbackDataEXT* data, void* user);
 
+  bool owns_device_ = true;
+  uint64_t memory_bytes_ = 0;
   VkInstance instance_ = VK_NULL_HANDLE;
   VkDebugUtilsMessengerEXT messenger_ = VK_NULL_HANDLE;
   VkPhysicalDevice physical_ = VK_NULL_HANDLE;
@@ -66,7 +91,10 @@ class VkContext {
   VkQueue queue_ = VK_NULL_HANDLE;
   VkCommandPool pool_ = VK_NULL_HANDLE;
   VkCommandBuffer commands_ = VK_NULL_HANDLE;
-  VkFence fence_ = VK_NULL_HANDLE;
+  VkSemaphore timeline_ = VK_NULL_HANDLE;
+  uint64_t submitted_ = 0;
+  bool lost_ = false;
+  uint64_t submissions_until_lost_ = UINT64_MAX;
   VkQueryPool queries_ = VK_NULL_HANDLE;
   std::unique_ptr<VkHeap> heap_;
   mutable std::mutex message_mutex_;  // layers may call back from any thread

@@ -1,0 +1,65 @@
+#include "runtime/fallback_solver.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+namespace ff::runtime {
+namespace {
+
+class Fallback final : public FallbackSolver {
+ public:
+  Fallback(std::unique_ptr<Solver> first, std::unique_ptr<Solver> second)
+      : first_(std::move(first)), second_(std::move(second)) {}
+
+  Result<void> setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) override {
+    matrix_ = std::move(matrix);
+    last_seen_.assign(warm_start.begin(), warm_start.end());
+    source_.clear();
+    return attempt([&](Solver& s) { return s.setMatrix(matrix_, last_seen_); });
+  }
+  Result<void> setSource(std::span<const Vec4> source) override {
+    source_.assign(source.begin(), source.end());
+    return attempt([&](Solver& s) { return s.setSource(source_); });
+  }
+  Result<void> iterate(int k) override {
+    return attempt([&](Solver& s) { return s.iterate(k); });
+  }
+  Result<void> radiosity(std::span<Vec4> out) override {
+    auto r = attempt([&](Solver& s) { return s.radiosity(out); });
+    if (r) last_seen_.assign(out.begin(), out.end());
+    return r;
+  }
+  double lastMs() const override { return inUse().lastMs(); }
+  const char* name() const override { return inUse().name(); }
+  const std::string& reason() const override { return reason_; }
+
+ private:
+  const Solver& inUse() const { return first_ ? *first_ : *second_; }
+
+  template <class Call>
+  Result<void> attempt(const Call& call) {
+    if (!first_) return call(*second_);
+    auto r = call(*first_);
+    if (r || r.error().cause == ErrorCause::kOther) return r;
+    reason_ = r.error().line();
+    first_.reset();
+    if (auto set = second_->setMatrix(matrix_, last_seen_); !set) return set;
+    if (!source_.empty())
+      if (auto set = second_->setSource(source_); !set) return set;
+    return call(*second_);
+  }
+
+  std::unique_ptr<Solver> first_, second_;
+  std::string reason_;
+  std::shared_ptr<const LocalMatrix> matrix_;
+  std::vector<Vec4> source_, last_seen_;  // their memory is kept from frame to frame
+};
+
+}  // namespace
+
+std::unique_ptr<FallbackSolver> makeFallbackSolver(std::unique_ptr<Solver> first, std::unique_ptr<Solver> second) {
+  return std::make_unique<Fallback>(std::move(first), std::move(second));
+}
+
+}  // namespace ff::runtime
