@@ -1,0 +1,29 @@
+// The multi-bounce matrix on the CPU: exact block updates of G = (I - F C)^-1 F (bounce_matrix.h).
+//
+// With P the nodes that enter and L those there (Schur complement of I - F C, one matrix per colour channel):
+//   U = F_LP + G C F_LP, V = F_PL + F_PL C G, S = F_PP + F_PL C U, K = (I - S C_P)^-1,
+//   G_PP = K S, G_LP = U (I - C_P S)^-1, and G_LL += (U C_P) W, G_PL = W with W = K V.
+// Lowering albedos of Q by -D (leaving is lowering to zero): G += G_LQ D (I - G_QQ D)^-1 G_QL.
+// Either way the matrix changes by one product of a tall and a wide matrix; it is kept as these two factors and folded
+// in column by column, so that relight() is exact while an update is under way.
+//
+// U and V follow the sparsity of the block (about 100 entries a node). Cost follows the highest place in use.
+#pragma once
+#include <memory>
+
+#include "runtime/bounce_matrix.h"
+
+namespace ff::runtime {
+
+// A product of albedo and row sum above this is taken to reach 1; the albedo is lowered to it: light is multiplied by
+// at most 4096, which fp32 and the scaled fp16 hold.
+inline constexpr float kMostKept = 1 - 1.0f / 4096;
+
+// luminance: one matrix G with the mean albedo. A channel's own G_c obeys G_c = G + G (C_c - C) G_c, so
+// E <- G (M + (C_c - C) E) is repeated: this many products, each reading the one matrix once for all channels.
+inline constexpr int kLuminanceProducts = 3;
+
+// Errors (kUsage): no places, or too little memory for them.
+Result<std::unique_ptr<BounceMatrix>> makeCpuMultibounce(const MultibounceSettings& settings);
+
+}  // namespace ff::runtime
