@@ -6,7 +6,7 @@
 #include <limits>
 #include <string>
 
-#include "tests/runtime/walks.h"
+#include "tests/runtime/bounce_matrix_driver.h"
 
 namespace ff::runtime {
 
@@ -33,31 +33,6 @@ class BounceMatrixTest : public ::testing::TestWithParam<BounceCase> {
     return std::move(*made);
   }
 };
-
-inline std::vector<Vec4> relit(BounceMatrix& matrix, std::span<const Vec4> source) {
-  std::vector<Vec4> irradiance(matrix.capacity(), Vec4{7, 7, 7, 0});
-  const auto done = matrix.relight(source, irradiance);
-  EXPECT_TRUE(done) << done.error().line();
-  return irradiance;
-}
-
-inline void enter(BounceMatrix& matrix, Placement& at, std::span<const uint32_t> patches, uint32_t block) {
-  for (size_t i = 0; i < patches.size(); i += block) {
-    const auto done = matrix.insert(at.enter(patches.subspan(i, std::min<size_t>(block, patches.size() - i))));
-    ASSERT_TRUE(done) << done.error().line();
-  }
-}
-
-inline void leave(BounceMatrix& matrix, Placement& at, std::span<const uint32_t> patches) {
-  const auto done = matrix.remove(at.leave(patches));
-  ASSERT_TRUE(done) << done.error().line();
-}
-
-inline std::vector<uint32_t> upTo(uint32_t n) {
-  std::vector<uint32_t> list(n);
-  for (uint32_t i = 0; i < n; ++i) list[i] = i;
-  return list;
-}
 
 TEST_P(BounceMatrixTest, IsTheDirectSolutionAfterAnyWalkWithBlocksOfAnySize) {
   const PatchSet scene = makeScene({.patches = 400, .entries_per_row = 40});

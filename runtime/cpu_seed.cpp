@@ -1,0 +1,200 @@
+#include "runtime/cpu_seed.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "runtime/page_memory.h"
+#include "runtime/seed_kernels.h"
+#include "runtime/worker_pool.h"
+
+namespace ff::runtime {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr uint32_t kColumns = 64, kRows = 256;  // of a part of a task
+
+double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
+
+Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
+Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
+Half4 toHalf4(const Vec4& v) { return {toHalf(v.x), toHalf(v.y), toHalf(v.z), {}}; }
+
+class CpuSeed final : public BounceMatrix {
+ public:
+  explicit CpuSeed(const MultibounceSettings& settings)
+      : places_(settings.places),
+        rows_((settings.places + 7) / 8 * 8),
+        stride_(rows_ + 8),  // no power of two: columns would share the same few sets of the caches
+        pool_(settings.threads),
+        matrix_(stride_ * rows_) {
+    for (auto* v : {&colour_, &f_col_, &f_row_, &g_col_, &g_row_, &weighted_, &col_, &row_}) v->assign(rows_, {});
+    present_.assign(rows_, 0);
+  }
+
+  bool allocated() const { return static_cast<bool>(matrix_); }
+  uint32_t capacity() const override { return places_; }
+  uint64_t bytes() const override { return uint64_t{stride_} * rows_ * sizeof(Half4); }
+  BounceStats stats() const override { return stats_; }
+  const char* name() const override { return "seed cpu"; }
+
+  Result<void> insert(const EnteringBlock& block) override {
+    const auto start = Clock::now();
+    for (const std::span<const float> values : {block.row_values, block.column_values})
+      for (const float value : values)
+        if (!std::isfinite(value) || value < 0)
+          return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+    for (uint32_t r = 0; r < block.places.size(); ++r) enter(block, r);
+    stats_.entered += block.places.size();
+    stats_.last_update_ms = msSince(start);
+    return {};
+  }
+
+  // "Delete operation is implemented by zeroing the row and column of the matrix".
+  Result<void> remove(std::span<const uint32_t> places) override {
+    const auto start = Clock::now();
+    for (const uint32_t p : places) {
+      FF_CHECK_EQ(int{present_[p]}, 1);
+      present_[p] = 0;
+      colour_[p] = {};
+      std::memset(static_cast<void*>(matrix_.data() + p * stride_), 0, stride_ * sizeof(Half4));
+      for (uint32_t j = 0; j < used_; ++j) matrix_.data()[j * stride_ + p] = {};
+    }
+    while (used_ > 0 && !present_[used_ - 1]) --used_;
+    stats_.left += places.size();
+    stats_.last_update_ms = msSince(start);
+    return {};
+  }
+
+  Result<void> clear() override {
+    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * used_ * sizeof(Half4));
+    std::fill(present_.begin(), present_.end(), uint8_t{0});
+    std::fill(colour_.begin(), colour_.end(), Vec4{});
+    used_ = 0;
+    return {};
+  }
+
+  Result<uint32_t> advance(uint32_t) override { return 0u; }
+
+  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override {
+    const auto start = Clock::now();
+    FF_CHECK_EQ(source.size(), size_t{places_});
+    FF_CHECK_EQ(irradiance.size(), size_t{places_});
+    for (uint32_t j = 0; j < used_; ++j) weighted_[j] = present_[j] ? source[j] : Vec4{};
+    multiply(weighted_, col_);
+    std::copy_n(col_.begin(), used_, irradiance.begin());
+    std::fill(irradiance.begin() + used_, irradiance.end(), Vec4{});
+    stats_.last_relight_ms = msSince(start);
+    return {};
+  }
+
+  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                              std::span<Vec4> irradiance) override {
+    const auto start = Clock::now();
+    FF_CHECK_EQ(places.size(), difference.size());
+    FF_CHECK_EQ(irradiance.size(), size_t{places_});
+    std::fill_n(col_.begin(), usedRows(), Vec4{});
+    pool_.run((usedRows() + kRows - 1) / kRows, [&](uint32_t part) {
+      const uint32_t begin = part * kRows, end = std::min(begin + kRows, usedRows());
+      for (size_t i = 0; i < places.size(); ++i)
+        if (present_[places[i]])
+          kernels_.multiply(matrix_.data() + places[i] * stride_, stride_, begin, end, 1, &difference[i], col_.data());
+    });
+    for (uint32_t i = 0; i < used_; ++i) irradiance[i] = irradiance[i] + col_[i];
+    stats_.last_relight_ms = msSince(start);
+    return {};
+  }
+
+ private:
+  uint32_t usedRows() const { return (used_ + 7) / 8 * 8; }
+
+  // out = F_local factor.
+  void multiply(const std::vector<Vec4>& factor, std::vector<Vec4>& out) {
+    const uint32_t rows = usedRows();
+    pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
+      const uint32_t begin = part * kRows, end = std::min(begin + kRows, rows);
+      std::fill(out.begin() + begin, out.begin() + end, Vec4{});
+      kernels_.multiply(matrix_.data(), stride_, begin, end, used_, factor.data(), out.data());
+    });
+  }
+
+  // Equations (1) to (5), and the six shaders, in their order.
+  void enter(const EnteringBlock& block, uint32_t r) {
+    const uint32_t p = block.places[r];
+    FF_CHECK_LT(p, places_);
+    FF_CHECK_EQ(int{present_[p]}, 0);
+    used_ = std::max(used_, p + 1);
+    const uint32_t rows = usedRows();
+    std::fill_n(f_col_.begin(), rows, Vec4{});
+    std::fill_n(f_row_.begin(), rows, Vec4{});
+    const auto grey = [](float f) { return Vec4{f, f, f, 0}; };
+    for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e)
+      if (present_[block.columns[e]]) f_row_[block.columns[e]] = grey(block.row_values[e]);
+    for (uint32_t e = block.column_start[r]; e < block.column_start[r + 1]; ++e)
+      f_col_[block.receivers[e]] = grey(block.column_values[e]);
+    for (uint32_t i = 0; i < r; ++i)  // the block's own, as far as they are in
+      for (uint32_t e = block.row_start[i]; e < block.row_start[i + 1]; ++e)
+        if (block.columns[e] == p) f_col_[block.places[i]] = grey(block.row_values[e]);
+    const Vec4 rho = block.albedo[r] * grey(1);
+
+    Vec4 twice;  // (1)
+    for (uint32_t i = 0; i < rows; ++i) twice = twice + f_row_[i] * colour_[i] * f_col_[i];
+    for (uint32_t i = 0; i < rows; ++i) {  // (2)
+      g_col_[i] = f_col_[i] * rho * twice;
+      g_row_[i] = f_row_[i] * rho * twice;
+    }
+    for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_col_[i] + g_col_[i]);
+    multiply(weighted_, col_);  // (3)
+    for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_row_[i] + g_row_[i]);
+    pool_.run((used_ + kColumns - 1) / kColumns, [&](uint32_t part) {
+      kernels_.multiplyLeft(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, used_),
+                            weighted_.data(), row_.data());
+    });
+    for (uint32_t i = 0; i < rows; ++i) {  // (4)
+      col_[i] = col_[i] + g_col_[i] + f_col_[i];
+      row_[i] = row_[i] + g_row_[i] + f_row_[i];
+    }
+    for (uint32_t i = 0; i < rows; ++i) weighted_[i] = rho * row_[i];
+    pool_.run((used_ + kColumns - 1) / kColumns, [&](uint32_t part) {  // (5)
+      kernels_.addOuter(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, used_),
+                        col_.data(), weighted_.data());
+    });
+    for (uint32_t i = 0; i < used_; ++i) {  // (6)
+      matrix_.data()[p * stride_ + i] = toHalf4(col_[i]);
+      matrix_.data()[i * stride_ + p] = toHalf4(row_[i]);
+    }
+    matrix_.data()[p * stride_ + p] = toHalf4(twice);
+    present_[p] = 1;
+    colour_[p] = rho;
+  }
+
+  uint32_t places_, rows_;
+  size_t stride_;
+  uint32_t used_ = 0;  // one past the highest place in use
+  WorkerPool pool_;
+  SeedKernels kernels_ = seedKernels();
+  PageMemory<Half4> matrix_;
+  std::vector<Vec4> colour_;  // per place, 0 where free
+  std::vector<Vec4> f_col_, f_row_, g_col_, g_row_, weighted_, col_, row_;
+  std::vector<uint8_t> present_;
+  BounceStats stats_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<BounceMatrix>> makeCpuSeed(const MultibounceSettings& settings) {
+  if (settings.places == 0 || settings.places > kMaxSlots)
+    return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxSlots) + " places", ""};
+  auto matrix = std::make_unique<CpuSeed>(settings);
+  if (!matrix->allocated())
+    return Error{ErrorCode::kUsage, "", "",
+                 "not enough memory for a matrix of " + std::to_string(settings.places) + " places",
+                 "ask for fewer places"};
+  return std::unique_ptr<BounceMatrix>(std::move(matrix));
+}
+
+}  // namespace ff::runtime
