@@ -1,7 +1,8 @@
-// Jacobi iterations on the CPU. Nothing is allocated or locked between setMatrix() calls. Every row is summed by one
+// Jacobi iterations on the CPU. Nothing is allocated or locked after the start. Every row is summed by one
 // thread in the order of its entries, so the result does not depend on the number of threads.
 #include <algorithm>
 #include <chrono>
+#include <utility>
 
 #include "runtime/gather_kernels.h"
 #include "runtime/solver.h"
@@ -16,22 +17,27 @@ class CpuGather final : public Solver {
  public:
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
+    for (auto* per_slot : {&from_, &to_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
+    child_weight_.reserve(kMaxSlots);
+    parts_.reserve(kMaxSlots + 1);
   }
 
-  Result<void> setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) override {
-    const uint32_t slots = matrix->slots();
-    if (!warm_start.empty()) FF_CHECK_EQ(warm_start.size(), size_t{slots});
-    matrix_ = std::move(matrix);
-    from_.assign(warm_start.begin(), warm_start.end());
-    from_.resize(slots);
-    for (Vec4& value : from_) value.w = 0;
-    to_.assign(slots, {});
-    source_.resize(slots);
-    reflectance_.resize(slots);
-    for (uint32_t s = 0; s < slots; ++s) {
-      const Vec4 albedo = matrix_->albedo[s];
-      const float scale = matrix_->row_scale[s];
-      reflectance_[s] = {albedo.x * scale, albedo.y * scale, albedo.z * scale, 0};
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
+    const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
+    if (all) from_.clear();
+    for (auto* per_slot : {&from_, &to_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
+    child_weight_.resize(matrix.slots());
+    if (all) {
+      for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
+    } else {
+      for (const uint32_t t : change.entered) {  // parents first
+        const SlotRange& range = matrix.tiles[t];
+        for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+          const uint32_t parent = matrix.parent_slot[s];
+          from_[s] = parent != kNoSlot ? from_[parent] : Vec4{};
+          reflectance_[s] = reflectance(s);
+        }
+      }
     }
     divideRows();
     weighChildren();
@@ -44,13 +50,21 @@ class CpuGather final : public Solver {
     return {};
   }
 
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
+    FF_CHECK_EQ(radiosity.size(), from_.size());
+    std::copy(radiosity.begin(), radiosity.end(), from_.begin());
+    for (Vec4& value : from_) value.w = 0;
+    return {};
+  }
+
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = std::chrono::steady_clock::now();
     for (int i = 0; i < k; ++i) {
       const GatherJob job{matrix_->row_start.data(),
+                          matrix_->row_entries.data(),
                           matrix_->entries.data(),
-                          leaves_.data(),
+                          matrix_->leaves.data(),
                           reflectance_.data(),
                           source_.data(),
                           from_.data(),
@@ -74,23 +88,25 @@ class CpuGather final : public Solver {
   const char* name() const override { return "cpu"; }
 
  private:
+  Vec4 reflectance(uint32_t slot) const {
+    const Vec4 albedo = matrix_->albedo[slot];
+    const float scale = matrix_->row_scale[slot];
+    return {albedo.x * scale, albedo.y * scale, albedo.z * scale, 0};
+  }
+
   void divideRows() {
-    leaves_.clear();
     parts_.assign(1, 0);
     uint32_t entries = 0;
-    for (uint32_t s = 0; s < matrix_->slots(); ++s) {
-      if (!matrix_->leaf[s]) continue;
-      leaves_.push_back(s);
-      entries += matrix_->row_start[s + 1] - matrix_->row_start[s];
+    for (uint32_t i = 0; i < matrix_->leaves.size(); ++i) {
+      entries += matrix_->row_entries[matrix_->leaves[i]];
       if (entries < kPartEntries) continue;
-      parts_.push_back(static_cast<uint32_t>(leaves_.size()));
+      parts_.push_back(i + 1);
       entries = 0;
     }
-    if (parts_.back() != leaves_.size()) parts_.push_back(static_cast<uint32_t>(leaves_.size()));
+    if (parts_.back() != matrix_->leaves.size()) parts_.push_back(static_cast<uint32_t>(matrix_->leaves.size()));
   }
 
   void weighChildren() {
-    child_weight_.assign(matrix_->slots(), 0);
     for (const LocalMatrix::Refined& refined : matrix_->refined) {
       const float* area = matrix_->area_m2.data() + refined.first_child;
       double total = 0;
@@ -116,11 +132,10 @@ class CpuGather final : public Solver {
 
   WorkerPool pool_;
   GatherKernel kernel_ = gatherPortable;
-  std::shared_ptr<const LocalMatrix> matrix_;
+  const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> reflectance_, source_, from_, to_;
   std::vector<float> child_weight_;  // per slot: its area over its parent's children's
-  std::vector<uint32_t> leaves_;     // slots with rows
-  std::vector<uint32_t> parts_;      // ranges of leaves_ of about kPartEntries entries
+  std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
   double last_ms_ = 0;
 };
 

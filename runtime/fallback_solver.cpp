@@ -12,15 +12,23 @@ class Fallback final : public FallbackSolver {
   Fallback(std::unique_ptr<Solver> first, std::unique_ptr<Solver> second)
       : first_(std::move(first)), second_(std::move(second)) {}
 
-  Result<void> setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) override {
-    matrix_ = std::move(matrix);
-    last_seen_.assign(warm_start.begin(), warm_start.end());
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
+    matrix_ = &matrix;
+    if (change.renumbered) last_seen_.clear();
+    last_seen_.resize(matrix.slots());
+    for (const uint32_t t : change.entered)
+      for (uint32_t i = 0, slot = matrix.tiles[t].first_slot; i < matrix.tiles[t].nodes; ++i, ++slot)
+        last_seen_[slot] = matrix.parent_slot[slot] != kNoSlot ? last_seen_[matrix.parent_slot[slot]] : Vec4{};
     source_.clear();
-    return attempt([&](Solver& s) { return s.setMatrix(matrix_, last_seen_); });
+    return attempt([&](Solver& s) { return s.update(matrix, change); });
   }
   Result<void> setSource(std::span<const Vec4> source) override {
     source_.assign(source.begin(), source.end());
     return attempt([&](Solver& s) { return s.setSource(source_); });
+  }
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
+    last_seen_.assign(radiosity.begin(), radiosity.end());
+    return attempt([&](Solver& s) { return s.setRadiosity(radiosity); });
   }
   Result<void> iterate(int k) override {
     return attempt([&](Solver& s) { return s.iterate(k); });
@@ -44,7 +52,8 @@ class Fallback final : public FallbackSolver {
     if (r || r.error().cause == ErrorCause::kOther) return r;
     reason_ = r.error().line();
     first_.reset();
-    if (auto set = second_->setMatrix(matrix_, last_seen_); !set) return set;
+    if (auto set = second_->update(*matrix_, {}); !set) return set;
+    if (auto set = second_->setRadiosity(last_seen_); !set) return set;
     if (!source_.empty())
       if (auto set = second_->setSource(source_); !set) return set;
     return call(*second_);
@@ -52,7 +61,7 @@ class Fallback final : public FallbackSolver {
 
   std::unique_ptr<Solver> first_, second_;
   std::string reason_;
-  std::shared_ptr<const LocalMatrix> matrix_;
+  const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> source_, last_seen_;  // their memory is kept from frame to frame
 };
 

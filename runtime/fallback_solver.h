@@ -1,5 +1,5 @@
-// A solver that outlives its device: when the first one loses its device or runs out of device memory, the second (on the
-// CPU) takes over with the same matrix, the same light and the radiosity last seen, within the same call.
+// A solver that outlives its device: when the first one loses its device or runs out of device memory, the second (on
+// the CPU) takes over with the same matrix, the same light and the radiosity last seen, within the same call.
 #pragma once
 #include <memory>
 #include <string>

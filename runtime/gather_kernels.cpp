@@ -18,7 +18,7 @@ void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
     const uint32_t slot = job.leaves[i];
     Float4 even{}, odd{};  // two chains, so that an addition need not wait for the one before
     uint32_t k = job.row_start[slot];
-    const uint32_t last = job.row_start[slot + 1];
+    const uint32_t last = k + job.row_entries[slot];
     for (; k + 2 <= last; k += 2) {
       const uint32_t a = job.entries[k], b = job.entries[k + 1];
       even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
@@ -50,7 +50,7 @@ __attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, ui
     const uint32_t slot = job.leaves[i];
     __m256 even = _mm256_setzero_ps(), odd = even;
     uint32_t k = job.row_start[slot];
-    const uint32_t last = job.row_start[slot + 1];
+    const uint32_t last = k + job.row_entries[slot];
     for (; k + 8 <= last; k += 8) {
       const uint32_t* e = job.entries + k;
       const __m256i packed = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(e));

@@ -10,7 +10,8 @@
 namespace ff::runtime {
 
 struct GatherJob {
-  const uint32_t* row_start = nullptr;  // per slot
+  const uint32_t* row_start = nullptr;    // per slot
+  const uint32_t* row_entries = nullptr;  // per slot
   const uint32_t* entries = nullptr;
   const uint32_t* leaves = nullptr;   // slots to compute
   const Vec4* reflectance = nullptr;  // per slot: albedo * row_scale

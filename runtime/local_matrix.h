@@ -1,15 +1,17 @@
 // The local matrix: form factors among the nodes of the cut, resolved through the page table.
 //
-// Every node of an active tile has a slot. A slot is a *leaf* (its children are not active: it is a node of the cut,
-// and its own level's row lights it) or *refined* (its radiosity is the area-weighted mean of its children's). A column
-// node J of a row resolves to J's slot if J's tile is active, else to the slot of its nearest active ancestor. So
-// strips are never rewritten when the cut changes, and the matrix is a function of the cut alone.
+// Every node of an active tile has a slot, and keeps it while the tile is active. A slot is a *leaf* (its children are
+// not active: it is a node of the cut, and its own level's row lights it) or *refined* (its radiosity is the
+// area-weighted mean of its children's). A column node J of a row resolves to J's slot if J's tile is active, else to
+// the slot of its nearest active ancestor. So strips are never rewritten when the cut changes; and but for the numbers
+// of its slots the matrix is a function of the cut alone.
 #pragma once
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "formats/reader.h"
+#include "stream/resident_strip.h"
 
 namespace ff::runtime {
 
@@ -20,7 +22,6 @@ struct Vec4 {
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
 inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of column
 
-// Tiles in order (level, tile); slots are numbered in that order, without gaps.
 struct SlotRange {
   formats::TileId id;
   uint32_t first_slot = 0;
@@ -28,36 +29,65 @@ struct SlotRange {
   uint32_t nodes = 0;
 };
 
+// Slot of a node, kNoSlot if its tile is not among `tiles` (sorted). O(log tiles).
+uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node);
+
+class PageTable;
+
 struct LocalMatrix {
-  std::vector<SlotRange> tiles;
-  // CSR over slots; refined slots have empty rows. entry = column slot << 16 | count; F = count * row_scale[row].
-  std::vector<uint32_t> row_start;  // slots + 1
-  std::vector<uint32_t> entries;
+  std::vector<SlotRange>
+      tiles;  // sorted by (level, tile); their slots are consecutive within a tile, in any order of tiles
+  // Per slot; free slots are neither leaf nor refined and have empty rows.
+  // A row is entries[row_start[s] .. + row_entries[s]): column slot << 16 | count, F = count * row_scale[s]. Its
+  // columns are in the order of their nodes, each once; only leaves have any.
+  std::vector<uint32_t> row_start, row_entries;
   std::vector<float> row_scale;  // 1 / Q
+  std::vector<Vec4> albedo;      // rgb and 0
+  std::vector<float> area_m2;
+  std::vector<uint8_t> leaf;
+  std::vector<uint32_t> parent_slot;  // kNoSlot at the top level
+  std::vector<uint32_t> entries;      // with gaps between rows
+  std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
   struct Refined {
     uint32_t slot, first_child, children;  // children are consecutive slots
   };
   std::vector<Refined> refined;
   std::vector<uint32_t> refined_level_start;  // ranges of `refined` that may be done in parallel; last = refined.size()
-  std::vector<Vec4> albedo;                   // per slot, rgb and 0
-  std::vector<float> area_m2;                 // per slot
-  std::vector<uint8_t> leaf;                  // per slot
+  uint32_t ambient_slot = kNoSlot;            // FarLight::kConstant: the slot of all that is far
+  uint64_t used_entries = 0;                  // of all rows together
+  // For devices that resolve rows themselves; by tile. Empty in a matrix made by hand.
+  struct PackedRows {
+    const stream::ResidentStrip* strip;
+    std::span<const uint32_t> partner_pages;  // number of the page (page_table.h) of each of the strip's partners
+  };
+  std::vector<PackedRows> packed;
+  const PageTable* pages = nullptr;  // the assembler's
 
-  uint32_t slots() const { return static_cast<uint32_t>(albedo.size()); }
-  // Slot of a node, kNoSlot if its tile is not active. O(log tiles).
-  uint32_t slotOf(uint32_t level, uint32_t node) const;
+  uint32_t slots() const { return static_cast<uint32_t>(albedo.size()); }  // the highest ever used + 1
+  std::span<const uint32_t> row(uint32_t slot) const { return {entries.data() + row_start[slot], row_entries[slot]}; }
+  uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
+};
+
+// What an update of the matrix changed, for those who keep something by slot.
+struct MatrixChange {
+  bool any = false;
+  bool renumbered = false;          // slots were given out anew: nothing kept by slot is worth anything
+  std::vector<SlotRange> left{};    // their slots are free now, or taken by tiles that entered
+  std::vector<uint32_t> entered{};  // numbers in LocalMatrix::tiles, the coarsest level first
+  std::vector<uint32_t> rows{};   // numbers in LocalMatrix::tiles: tiles with rows that changed, entered ones included
+  std::vector<uint32_t> pages{};  // numbers of pages that changed (page_table.h)
 };
 
 // How columns outside the active level-0 tiles are treated.
 enum class FarLight {
   kPyramid,   // the coarser levels: the product
-  kConstant,  // one ambient slot (the last), the seed paper's choice; only level-0 tiles take part. For comparison.
+  kConstant,  // one ambient slot, the seed paper's choice; only level-0 tiles take part. For comparison.
 };
 
-// active: as Streamer::active(). Errors: more than kMaxSlots slots.
-Result<LocalMatrix> buildLocalMatrix(const formats::World& world,
-                                     std::span<const std::shared_ptr<const formats::Strip>> active,
+// A matrix from nothing; matrix_assembler.h keeps one up to date. active: as Streamer::active(). Errors: as
+// MatrixAssembler::update.
+Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<const stream::StripPtr> active,
                                      FarLight far_light = FarLight::kPyramid);
 
 }  // namespace ff::runtime

@@ -1,80 +1,118 @@
 #include "runtime/page_table.h"
 
 namespace ff::runtime {
+namespace {
 
-PageTable::PageTable(const formats::World& world, std::span<const SlotRange> tiles, uint32_t outside)
-    : world_(world), outside_(outside) {
-  size_t size = 1024;
-  while (size < 4 * tiles.size()) size *= 2;
-  buckets_.resize(size);
-  pages_.reserve(2 * tiles.size() + 256);
-  for (const SlotRange& range : tiles) {
-    Page& page = pages_.emplace_back();
-    for (uint32_t i = 0; i < range.nodes; ++i) page[i] = static_cast<uint16_t>(range.first_slot + i);
-    insert(keyOf(range.id), active_pages_++);
+constexpr size_t kPagesAtFirst = 2048;  // 1 MiB
+
+}  // namespace
+
+PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(world), outside_(outside) {
+  for (const formats::LevelInfo& level : world.levels()) {
+    slot_of_.emplace_back(level.tiles, kNoSlot);
+    page_of_.emplace_back(level.tiles, kNoPage);
   }
+  pages_.reserve(kPagesAtFirst);
+  infos_.reserve(kPagesAtFirst);
+  free_.reserve(kPagesAtFirst);
+  changed_.reserve(kPagesAtFirst);
+  toggled_.reserve(kPagesAtFirst);
 }
 
-size_t PageTable::find(uint64_t key) const {
-  const size_t mask = buckets_.size() - 1;
-  // Fibonacci hashing spreads neighbouring tiles. Knuth. The Art of Computer Programming 3, 6.4. 1973.
-  size_t at = static_cast<size_t>((key * 0x9e3779b97f4a7c15ull) >> 32) & mask;
-  while (buckets_[at].key != 0 && buckets_[at].key != key) at = (at + 1) & mask;
-  return at;
-}
-
-void PageTable::insert(uint64_t key, uint32_t page) {
-  if (2 * (used_ + 1) > buckets_.size()) {
-    std::vector<Bucket> old(buckets_.size() * 2);
-    old.swap(buckets_);
-    for (const Bucket& bucket : old)
-      if (bucket.key != 0) buckets_[find(bucket.key)] = bucket;
+uint32_t PageTable::hold(formats::TileId id) {
+  uint32_t& number = page_of_[id.level][id.tile];
+  if (number == kNoPage) {
+    if (free_.empty()) {
+      free_.push_back(static_cast<uint32_t>(pages_.size()));
+      pages_.emplace_back();
+      infos_.emplace_back();
+    }
+    number = free_.back();
+    free_.pop_back();
+    infos_[number] = {id, 0, infos_[number].refreshed, true};
   }
-  buckets_[find(key)] = {key, page};
-  ++used_;
-}
-
-bool PageTable::isActive(formats::TileId id) const {
-  const Bucket& bucket = buckets_[find(keyOf(id))];
-  return bucket.key != 0 && bucket.page < active_pages_;
-}
-
-uint32_t PageTable::pageOf(formats::TileId id) {
-  const Bucket& bucket = buckets_[find(keyOf(id))];
-  return bucket.key != 0 ? bucket.page : addPage(id);
-}
-
-uint32_t PageTable::addPage(formats::TileId id) {
-  Page page{};
-  if (outside_ != kNoSlot)
-    page.fill(static_cast<uint16_t>(outside_));
-  else
-    fillFromAncestors(id, page);
-  const uint32_t number = static_cast<uint32_t>(pages_.size());
-  pages_.push_back(page);
-  insert(keyOf(id), number);
+  ++infos_[number].holds;
   return number;
 }
 
-void PageTable::fillFromAncestors(formats::TileId id, Page& page) {
-  const uint32_t above = id.level + 1;
-  if (above >= world_.levels().size()) {
-    incomplete_ = true;
+void PageTable::release(uint32_t page) {
+  Info& info = infos_[page];
+  if (--info.holds > 0) return;
+  page_of_[info.id.level][info.id.tile] = kNoPage;
+  info.stale = false;
+  free_.push_back(page);
+}
+
+void PageTable::setActive(formats::TileId id, uint32_t first_slot) {
+  slot_of_[id.level][id.tile] = first_slot;
+  const formats::TileInfo& info = world_.tiles(id.level)[id.tile];
+  Toggled toggled{id.level, {}};
+  uint32_t first = info.first_node, end = info.first_node + info.nodes;
+  for (uint32_t level = id.level;; --level) {
+    toggled.nodes[level] = {first, end};
+    if (level == 0) break;
+    // Children of consecutive nodes are consecutive.
+    const uint32_t last = end - 1;
+    end = world_.children(level, last).second;
+    first = world_.children(level, first).first;
+  }
+  toggled_.push_back(toggled);
+}
+
+std::span<const uint32_t> PageTable::refresh() {
+  ++round_;
+  changed_.clear();
+  incomplete_ = false;
+  for (uint32_t p = 0; p < pages_.size(); ++p) {
+    Info& info = infos_[p];
+    if (info.holds == 0) continue;
+    const formats::TileInfo& tile = world_.tiles(info.id.level)[info.id.tile];
+    for (const Toggled& t : toggled_) {
+      if (info.stale) break;
+      const auto [first, end] = t.nodes[info.id.level];
+      info.stale = info.id.level <= t.level && tile.first_node < end && first < tile.first_node + tile.nodes;
+    }
+    if (!info.stale) continue;
+    fill(info.id, pages_[p]);
+    info.stale = false;
+    info.refreshed = round_;
+    changed_.push_back(p);
+  }
+  toggled_.clear();
+  return changed_;
+}
+
+void PageTable::fill(formats::TileId id, Page& page) {
+  const formats::TileInfo& info = world_.tiles(id.level)[id.tile];
+  if (const uint32_t first = activeSlot(id); first != kNoSlot) {
+    for (uint32_t i = 0; i < info.nodes; ++i) page[i] = static_cast<uint16_t>(first + i);
     return;
   }
-  const formats::TileInfo& info = world_.tiles(id.level)[id.tile];
-  // Parents of consecutive nodes never descend, so the page of the parents' tile changes a few times at most.
-  uint32_t tile_first = 0, tile_end = 0, number = 0;
+  if (outside_ != kNoSlot) {
+    page.fill(static_cast<uint16_t>(outside_));
+    return;
+  }
+  uint32_t parent = formats::kNoParent, slot = 0;  // of the node before: siblings are consecutive
   for (uint32_t i = 0; i < info.nodes; ++i) {
-    const uint32_t parent = world_.parent(id.level, info.first_node + i);
-    if (parent < tile_first || parent >= tile_end) {
-      const uint32_t tile = world_.tileOf(above, parent);
-      const formats::TileInfo& parents = world_.tiles(above)[tile];
-      tile_first = parents.first_node;
-      tile_end = tile_first + parents.nodes;
-      number = pageOf({above, tile});  // one step of a recursion as deep as the pyramid
+    const uint32_t its_parent = world_.parent(id.level, info.first_node + i);
+    if (its_parent != parent || i == 0) {
+      parent = its_parent;
+      slot = kNoSlot;
+      uint32_t level = id.level + 1, node = parent;
+      for (; level < world_.levels().size() && slot == kNoSlot; ++level) {
+        const uint32_t tile = world_.tileOf(level, node);
+        const uint32_t first = activeSlot({level, tile});
+        if (first != kNoSlot)
+          slot = first + (node - world_.tiles(level)[tile].first_node);
+        else
+          node = world_.parent(level, node);
+      }
+      if (slot == kNoSlot) {
+        incomplete_ = true;
+        slot = 0;
+      }
     }
-    page[i] = pages_[number][parent - tile_first];
+    page[i] = static_cast<uint16_t>(slot);
   }
 }
 

@@ -1,13 +1,13 @@
 // From a column (level, tile, index) to the slot that stands for it in the cut: the node itself where its tile is
 // active, else its nearest active ancestor. As in virtual texturing, strips keep their own numbers and only this table
-// follows the cut. Pages (256 slots, one tile's columns) are filled when they are first asked for.
+// follows the cut. A page is the 256 slots of one tile's columns; pages exist for the tiles that someone holds, keep
+// their numbers while held, and are filled anew only where the cut changed.
 #pragma once
 #include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
 #include "runtime/local_matrix.h"
 
 namespace ff::runtime {
@@ -16,37 +16,51 @@ class PageTable {
  public:
   using Page = std::array<uint16_t, formats::kTileNodes>;
 
-  // tiles: sorted by (level, tile), slots below kMaxSlots. outside: the slot of everything in inactive tiles; kNoSlot:
-  // the nearest active ancestor.
-  PageTable(const formats::World& world, std::span<const SlotRange> tiles, uint32_t outside = kNoSlot);
+  // outside: the slot of everything in inactive tiles; kNoSlot: the nearest active ancestor.
+  // Takes 8 bytes a tile of the world.
+  explicit PageTable(const formats::World& world, uint32_t outside = kNoSlot);
 
-  // Number of the page of a tile, filling it if it is new.
-  uint32_t pageOf(formats::TileId id);
-  // Valid until the next pageOf().
+  // The number of a tile's page, for as long as it is held; each hold is given back by release().
+  uint32_t hold(formats::TileId id);
+  void release(uint32_t page);
+  // The tile's nodes have slots first_slot, first_slot + 1, ... from now on; kNoSlot: none.
+  void setActive(formats::TileId id, uint32_t first_slot);
+  // Fills the pages that are new or whose slots the calls of setActive() changed. Their numbers, each once; valid until
+  // the next call.
+  std::span<const uint32_t> refresh();
+
   const Page& page(uint32_t number) const { return pages_[number]; }
-  // Whether the tile is one of `tiles`; its slots are then consecutive.
-  bool isActive(formats::TileId id) const;
-  // Whether some node of the pages filled so far has no active ancestor (its slot reads 0).
+  std::span<const Page> pages() const { return pages_; }
+  // First slot of the page's tile if that is active (the page then counts up from it), else kNoSlot.
+  uint32_t firstSlot(uint32_t number) const { return activeSlot(infos_[number].id); }
+  bool changed(uint32_t number) const { return infos_[number].refreshed == round_; }
+  uint32_t activeSlot(formats::TileId id) const { return slot_of_[id.level][id.tile]; }
+  // Whether some node of the pages filled last has no active ancestor (its slot reads 0).
   bool incomplete() const { return incomplete_; }
 
  private:
-  struct Bucket {
-    uint64_t key = 0;  // level and tile, + 1; 0: free
-    uint32_t page = 0;
+  static constexpr uint32_t kNoPage = 0xffffffffu;
+  struct Info {
+    formats::TileId id;
+    uint32_t holds = 0;
+    uint32_t refreshed = 0;  // round
+    bool stale = false;
   };
-  static uint64_t keyOf(formats::TileId id) { return (uint64_t{id.level} << 32 | id.tile) + 1; }
-  size_t find(uint64_t key) const;  // the key's bucket, or the free one where it belongs
-  void insert(uint64_t key, uint32_t page);
-  uint32_t addPage(formats::TileId id);
-  void fillFromAncestors(formats::TileId id, Page& page);
+  struct Toggled {  // node ranges, by level, that a tile's toggling may have changed
+    uint32_t level;
+    std::array<std::pair<uint32_t, uint32_t>, formats::kMaxLevels> nodes;
+  };
+  void fill(formats::TileId id, Page& page);
 
   const formats::World& world_;
   uint32_t outside_ = kNoSlot;
-  uint32_t active_pages_ = 0;  // pages of active tiles come first
   bool incomplete_ = false;
+  uint32_t round_ = 0;
+  std::vector<std::vector<uint32_t>> slot_of_, page_of_;  // [level][tile]
   std::vector<Page> pages_;
-  std::vector<Bucket> buckets_;  // open addressing, a power of two, at most half full
-  size_t used_ = 0;
+  std::vector<Info> infos_;
+  std::vector<uint32_t> free_, changed_;
+  std::vector<Toggled> toggled_;
 };
 
 }  // namespace ff::runtime

@@ -9,7 +9,10 @@ namespace ff::runtime {
 
 class RangeAllocator {
  public:
-  explicit RangeAllocator(uint64_t size) : size_(size), free_{{0, size}} {}
+  explicit RangeAllocator(uint64_t size) : size_(size) {
+    free_.reserve(kRangesAtFirst);
+    free_.push_back({0, size});
+  }
 
   // Offset of `size` units at a multiple of `alignment` (a power of two); nothing if no free range is large enough.
   std::optional<uint64_t> allocate(uint64_t size, uint64_t alignment) {
@@ -46,6 +49,7 @@ class RangeAllocator {
   struct Range {
     uint64_t begin, end;
   };
+  static constexpr size_t kRangesAtFirst = 1024;  // so many free ranges before the list takes more memory
   uint64_t size_;
   std::vector<Range> free_;
 };

@@ -12,11 +12,16 @@ namespace ff::runtime {
 class Solver {
  public:
   virtual ~Solver() = default;
-  // Takes a new matrix and the radiosity to start from (one per slot; empty: start from zero). The matrix is kept.
-  virtual Result<void> setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) = 0;
-  // M per slot, W/m2. Refined slots' values are ignored.
+  // Takes up a change of the matrix, which is the caller's, stays where it is and outlives the solver; called after
+  // each change of it. (The first call takes up the whole matrix.) Slots that stay keep their radiosity, nodes of tiles
+  // that entered start from their parents' (top-level ones from zero); after change.renumbered all starts from zero.
+  virtual Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) = 0;
+  // M per slot, W/m2. Refined and free slots' values are ignored.
   virtual Result<void> setSource(std::span<const Vec4> source) = 0;
-  // k Jacobi iterations: for leaves B <- M + albedo * F B, then refined slots <- mean of their children.
+  // Radiosity to go on from, per slot.
+  virtual Result<void> setRadiosity(std::span<const Vec4> radiosity) = 0;
+  // k steps, after which refined slots are the mean of their children. What a step is, is the solver's: `gather` makes
+  // one Jacobi iteration B <- M + albedo * F B, a dense one takes in all bounces at once.
   virtual Result<void> iterate(int k) = 0;
   // Copies the radiosity of every slot, W/m2.
   virtual Result<void> radiosity(std::span<Vec4> out) = 0;

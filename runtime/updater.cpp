@@ -14,22 +14,21 @@ double msSince(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-// Radiosity to start from after a change of the cut: a node keeps its own, a new one takes its nearest ancestor's.
-std::vector<Vec4> carryOver(const formats::World& world, const LocalMatrix& old, std::span<const Vec4> values,
-                            const LocalMatrix& now) {
-  std::vector<Vec4> carried(now.slots());
+// Radiosity to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
+// ancestor's.
+void carryOver(const formats::World& world, std::span<const SlotRange> old, std::span<const Vec4> values,
+               const LocalMatrix& now, std::span<Vec4> carried) {
   for (const SlotRange& range : now.tiles) {
     for (uint32_t i = 0; i < range.nodes; ++i) {
       uint32_t node = range.first_node + i, slot = kNoSlot;
       for (uint32_t level = range.id.level; level < world.levels().size() && node != formats::kNoParent; ++level) {
-        slot = old.slotOf(level, node);
+        slot = slotOf(old, level, node);
         if (slot != kNoSlot) break;
         node = world.parent(level, node);
       }
-      if (slot != kNoSlot) carried[range.first_slot + i] = values[slot];
+      carried[range.first_slot + i] = slot != kNoSlot ? values[slot] : Vec4{};
     }
   }
-  return carried;
 }
 
 }  // namespace
@@ -41,11 +40,20 @@ Vec3 skyIrradiance(const Sky& sky, const formats::Node& node) {
                      sky.l0.z + dot(sky.l1[2], node.sky_direction)};
 }
 
-Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver)
-    : world_(world), streamer_(streamer), solver_(solver) {}
+Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light)
+    : world_(world), streamer_(streamer), solver_(solver), assembler_(world, far_light) {
+  for (auto* per_slot : {&source_, &direct_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
+  direct_irradiance_.reserve(kMaxSlots);
+  tiles_before_.reserve(kMaxSlots / 16);
+}
 
 void Updater::setSky(const Sky& sky) {
   sky_ = sky;
+  sky_changed_ = true;
+}
+
+void Updater::setAmbient(Vec3 radiosity) {
+  ambient_ = radiosity;
   sky_changed_ = true;
 }
 
@@ -59,17 +67,18 @@ void Updater::lightChanged() { light_changed_ = true; }
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
   streamer_.update(observer, velocity);
-  // Compared here, not taken from update(): someone may have called settle() in between.
-  const auto active = streamer_.active();
-  const bool cut_changed = !matrix_ || !std::equal(active.begin(), active.end(), strips_.begin(), strips_.end());
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
-  if (cut_changed)
-    if (auto changed = changeMatrix(); !changed) return changed.error();
+  const auto& tiles = assembler_.matrix().tiles;
+  tiles_before_.assign(tiles.begin(), tiles.end());
+  if (auto updated = assembler_.update(streamer_.active()); !updated) return updated.error();
+  const bool changed = assembler_.change().any;
+  if (changed)
+    if (auto taken = takeUpChange(); !taken) return taken.error();
   if (sky_changed_ || light_changed_)
     if (auto relit = relightAll(); !relit) return relit.error();
   FrameStats stats = counts_;
-  stats.matrix_changed = cut_changed;
+  stats.matrix_changed = changed;
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   if (auto iterated = solver_.iterate(iterations); !iterated) return iterated.error();
@@ -77,42 +86,36 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   return stats;
 }
 
-Result<void> Updater::changeMatrix() {
-  const auto active = streamer_.active();
-  auto built = buildLocalMatrix(world_, active);
-  if (!built) return built.error();
-  strips_.assign(active.begin(), active.end());
-  const auto old = std::exchange(matrix_, std::make_shared<const LocalMatrix>(std::move(*built)));
-  std::vector<Vec4> start;
-  if (old) {
-    radiosity_.resize(old->slots());
+Result<void> Updater::takeUpChange() {
+  const LocalMatrix& m = matrix();
+  const MatrixChange& change = assembler_.change();
+  const bool carry = started_ && change.renumbered;
+  if (carry) {  // radiosity_ has the size of the matrix before
     if (auto read = solver_.radiosity(radiosity_); !read) return read.error();
-    start = carryOver(world_, *old, radiosity_, *matrix_);
+    before_.assign(m.slots(), {});
+    carryOver(world_, tiles_before_, radiosity_, m, before_);
   }
-  // Direct light is asked for new tiles only; the others bring theirs along.
-  const std::vector<Vec3> old_irradiance = std::exchange(direct_irradiance_, std::vector<Vec3>(matrix_->slots()));
-  source_.assign(matrix_->slots(), {});
-  direct_.assign(matrix_->slots(), {});
-  for (size_t t = 0; t < matrix_->tiles.size(); ++t) {
-    const SlotRange& range = matrix_->tiles[t];
-    const uint32_t old_slot = old ? old->slotOf(range.id.level, range.first_node) : kNoSlot;
-    if (old_slot != kNoSlot)
-      std::copy_n(old_irradiance.begin() + old_slot, range.nodes, direct_irradiance_.begin() + range.first_slot);
-    light(range, *strips_[t], old_slot == kNoSlot);
-  }
+  started_ = true;
+  for (auto* per_slot : {&source_, &direct_, &radiosity_}) per_slot->resize(m.slots());
+  direct_irradiance_.resize(m.slots());
+  // Direct light is asked for new tiles only; the others keep theirs.
+  for (const uint32_t tile : change.entered) light(tile, true);
+  if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   counts_ = {};
-  counts_.slots = matrix_->slots();
-  counts_.entries = matrix_->entries.size();
-  for (const SlotRange& range : matrix_->tiles)
-    for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
-      counts_.leaves += matrix_->leaf[slot];
-      if (range.id.level == 0) counts_.level0_leaves += matrix_->leaf[slot];
-    }
-  if (auto set = solver_.setMatrix(matrix_, start); !set) return set.error();
+  counts_.slots = m.slots();
+  counts_.leaves = static_cast<uint32_t>(m.leaves.size());
+  counts_.entries = m.used_entries;
+  for (const SlotRange& range : m.tiles)
+    if (range.id.level == 0) counts_.level0_leaves += range.nodes;
+  if (auto updated = solver_.update(m, change); !updated) return updated.error();
+  if (carry)
+    if (auto set = solver_.setRadiosity(before_); !set) return set.error();
   return solver_.setSource(source_);
 }
 
-void Updater::light(const SlotRange& range, const formats::Strip& strip, bool ask_direct_light) {
+void Updater::light(uint32_t tile, bool ask_direct_light) {
+  const SlotRange& range = matrix().tiles[tile];
+  const stream::ResidentStrip& strip = assembler_.strip(tile);
   const std::span<Vec3> irradiance = std::span(direct_irradiance_).subspan(range.first_slot, range.nodes);
   if (ask_direct_light) {
     std::fill(irradiance.begin(), irradiance.end(), Vec3{});
@@ -128,16 +131,17 @@ void Updater::light(const SlotRange& range, const formats::Strip& strip, bool as
 }
 
 Result<void> Updater::relightAll() {
-  for (size_t t = 0; t < matrix_->tiles.size(); ++t) light(matrix_->tiles[t], *strips_[t], light_changed_);
+  const LocalMatrix& m = matrix();
+  for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_);
+  if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   sky_changed_ = light_changed_ = false;
   return solver_.setSource(source_);
 }
 
 Result<int> Updater::converge(float tolerance, int max_iterations) {
-  FF_CHECK_EQ(matrix_ != nullptr, true);
+  FF_CHECK_EQ(started_, true);
   constexpr int kBatch = 8;  // iterations between two looks at the change
-  radiosity_.resize(matrix_->slots());
-  before_.resize(matrix_->slots());
+  before_.resize(matrix().slots());
   for (int done = 0; done < max_iterations;) {
     const int batch = std::min(kBatch, max_iterations - done);
     if (auto r = solver_.iterate(batch - 1); !r) return r.error();
@@ -156,10 +160,7 @@ Result<int> Updater::converge(float tolerance, int max_iterations) {
   return max_iterations;
 }
 
-const LocalMatrix& Updater::matrix() const {
-  FF_CHECK_EQ(matrix_ != nullptr, true);
-  return *matrix_;
-}
+const LocalMatrix& Updater::matrix() const { return assembler_.matrix(); }
 std::span<const Vec4> Updater::source() const { return source_; }
 std::span<const Vec4> Updater::direct() const { return direct_; }
 Result<void> Updater::radiosity(std::span<Vec4> out) { return solver_.radiosity(out); }

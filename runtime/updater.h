@@ -4,6 +4,7 @@
 #include <memory>
 #include <span>
 
+#include "runtime/matrix_assembler.h"
 #include "runtime/solver.h"
 #include "stream/streamer.h"
 
@@ -33,8 +34,11 @@ struct FrameStats {
 class Updater {
  public:
   // All three must outlive the updater.
-  Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver);
+  Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
+          FarLight far_light = FarLight::kPyramid);
   void setSky(const Sky& sky);
+  // Radiosity of all that is far, W/m2; FarLight::kConstant only.
+  void setAmbient(Vec3 radiosity);
   void setDirectLight(DirectLight direct);
   void lightChanged();
 
@@ -45,14 +49,15 @@ class Updater {
   // max_iterations.
   Result<int> converge(float tolerance, int max_iterations);
 
-  const LocalMatrix& matrix() const;     // of the last frame
+  const LocalMatrix& matrix() const;  // of the last frame
+  const MatrixAssembler& assembler() const { return assembler_; }
   std::span<const Vec4> source() const;  // M per slot, W/m2
   std::span<const Vec4> direct() const;  // emission + albedo * direct irradiance (no sky, no bounces), W/m2
   Result<void> radiosity(std::span<Vec4> out);
 
  private:
-  Result<void> changeMatrix();
-  void light(const SlotRange& range, const formats::Strip& strip, bool ask_direct_light);
+  Result<void> takeUpChange();
+  void light(uint32_t tile, bool ask_direct_light);
   Result<void> relightAll();
 
   const formats::World& world_;
@@ -60,13 +65,14 @@ class Updater {
   Solver& solver_;
   Sky sky_;
   DirectLight direct_light_;
-  std::vector<stream::StripPtr> strips_;  // that matrix_ was built from
-  std::shared_ptr<const LocalMatrix> matrix_;
+  MatrixAssembler assembler_;
+  Vec3 ambient_;
   std::vector<Vec4> source_, direct_;     // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
-  std::vector<Vec4> radiosity_, before_;  // per slot; scratch of changeMatrix() and converge()
-  FrameStats counts_;                     // of the matrix
-  bool sky_changed_ = false, light_changed_ = false;
+  std::vector<Vec4> radiosity_, before_;  // per slot; scratch of takeUpChange() and converge()
+  std::vector<SlotRange> tiles_before_;
+  FrameStats counts_;  // of the matrix
+  bool started_ = false, sky_changed_ = false, light_changed_ = false;
 };
 
 }  // namespace ff::runtime

@@ -21,9 +21,9 @@ VkHeap::~VkHeap() {
 }
 
 Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse use, bool linear) {
-  const VkMemoryPropertyFlags wanted =
-      use == MemoryUse::kDevice ? VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT
-                                : VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
+  const VkMemoryPropertyFlags wanted = use == MemoryUse::kDevice
+                                           ? VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT
+                                           : VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
   // Host memory is read back, too: a cached type, if there is one, is many times faster for that.
   const VkMemoryPropertyFlags liked = use == MemoryUse::kHost ? wanted | VK_MEMORY_PROPERTY_HOST_CACHED_BIT : wanted;
   uint32_t type = VK_MAX_MEMORY_TYPES;
@@ -61,8 +61,8 @@ Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse
     }
   }
   allocated_bytes_ += info.allocationSize;
-  auto block = std::make_unique<Block>(
-      Block{memory, type, linear, static_cast<std::byte*>(mapped), info.allocationSize, RangeAllocator(info.allocationSize)});
+  auto block = std::make_unique<Block>(Block{memory, type, linear, static_cast<std::byte*>(mapped), info.allocationSize,
+                                             RangeAllocator(info.allocationSize)});
   const auto at = block->ranges.allocate(needs.size, needs.alignment);
   const auto hole = std::find(blocks_.begin(), blocks_.end(), nullptr);
   const auto index = static_cast<size_t>(hole - blocks_.begin());
@@ -80,7 +80,8 @@ uint64_t VkHeap::bytesLeft(uint32_t type) const {
   for (const auto& b : blocks_)
     if (b && properties_.memoryTypes[b->type].heapIndex == heap) used += b->size;
   uint64_t left = properties_.memoryHeaps[heap].size - std::min(properties_.memoryHeaps[heap].size, used);
-  if (const uint64_t budget = context_.memoryBytes()) left = std::min(left, budget - std::min(budget, allocated_bytes_));
+  if (const uint64_t budget = context_.memoryBytes())
+    left = std::min(left, budget - std::min(budget, allocated_bytes_));
   return left;
 }
 

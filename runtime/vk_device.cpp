@@ -16,17 +16,28 @@ constexpr uint32_t kWorkGroup = 128;     // invocations of a work group of ours,
 
 const char* resultName(VkResult r) {
   switch (r) {
-    case VK_ERROR_OUT_OF_HOST_MEMORY: return "VK_ERROR_OUT_OF_HOST_MEMORY";
-    case VK_ERROR_OUT_OF_DEVICE_MEMORY: return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
-    case VK_ERROR_INITIALIZATION_FAILED: return "VK_ERROR_INITIALIZATION_FAILED";
-    case VK_ERROR_DEVICE_LOST: return "VK_ERROR_DEVICE_LOST";
-    case VK_ERROR_LAYER_NOT_PRESENT: return "VK_ERROR_LAYER_NOT_PRESENT";
-    case VK_ERROR_EXTENSION_NOT_PRESENT: return "VK_ERROR_EXTENSION_NOT_PRESENT";
-    case VK_ERROR_FEATURE_NOT_PRESENT: return "VK_ERROR_FEATURE_NOT_PRESENT";
-    case VK_ERROR_INCOMPATIBLE_DRIVER: return "VK_ERROR_INCOMPATIBLE_DRIVER";
-    case VK_ERROR_TOO_MANY_OBJECTS: return "VK_ERROR_TOO_MANY_OBJECTS";
-    case VK_TIMEOUT: return "VK_TIMEOUT";
-    default: return nullptr;
+    case VK_ERROR_OUT_OF_HOST_MEMORY:
+      return "VK_ERROR_OUT_OF_HOST_MEMORY";
+    case VK_ERROR_OUT_OF_DEVICE_MEMORY:
+      return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
+    case VK_ERROR_INITIALIZATION_FAILED:
+      return "VK_ERROR_INITIALIZATION_FAILED";
+    case VK_ERROR_DEVICE_LOST:
+      return "VK_ERROR_DEVICE_LOST";
+    case VK_ERROR_LAYER_NOT_PRESENT:
+      return "VK_ERROR_LAYER_NOT_PRESENT";
+    case VK_ERROR_EXTENSION_NOT_PRESENT:
+      return "VK_ERROR_EXTENSION_NOT_PRESENT";
+    case VK_ERROR_FEATURE_NOT_PRESENT:
+      return "VK_ERROR_FEATURE_NOT_PRESENT";
+    case VK_ERROR_INCOMPATIBLE_DRIVER:
+      return "VK_ERROR_INCOMPATIBLE_DRIVER";
+    case VK_ERROR_TOO_MANY_OBJECTS:
+      return "VK_ERROR_TOO_MANY_OBJECTS";
+    case VK_TIMEOUT:
+      return "VK_TIMEOUT";
+    default:
+      return nullptr;
   }
 }
 
@@ -51,11 +62,16 @@ bool hasLayer(const char* name) {
 // Lower is better; the order of VulkanChoice "auto".
 int rank(VkPhysicalDeviceType type) {
   switch (type) {
-    case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU: return 0;
-    case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU: return 1;
-    case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU: return 2;
-    case VK_PHYSICAL_DEVICE_TYPE_CPU: return 3;
-    default: return 4;
+    case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
+      return 0;
+    case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU:
+      return 1;
+    case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU:
+      return 2;
+    case VK_PHYSICAL_DEVICE_TYPE_CPU:
+      return 3;
+    default:
+      return 4;
   }
 }
 
@@ -92,8 +108,8 @@ std::string lacks(VkPhysicalDevice physical) {
     return std::to_string(kStorageBuffers) + " storage buffers in a shader";
   if (p.properties.limits.maxComputeWorkGroupInvocations < kWorkGroup)
     return "work groups of " + std::to_string(kWorkGroup) + " invocations";
-  auto timeline = zeroed<VkPhysicalDeviceTimelineSemaphoreFeatures>(
-      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES);
+  auto timeline =
+      zeroed<VkPhysicalDeviceTimelineSemaphoreFeatures>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES);
   auto features = zeroed<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
   features.pNext = &timeline;
   vkGetPhysicalDeviceFeatures2(physical, &features);
@@ -213,7 +229,8 @@ Result<void> VkContext::createInstance(const VulkanChoice& choice) {
   auto messenger = zeroed<VkDebugUtilsMessengerCreateInfoEXT>(VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT);
   messenger.messageSeverity =
       VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
-  messenger.messageType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
+  messenger.messageType =
+      VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
   messenger.pfnUserCallback = onMessage;
   messenger.pUserData = this;
   const char* const extensions[] = {VK_EXT_DEBUG_UTILS_EXTENSION_NAME, VK_EXT_VALIDATION_FEATURES_EXTENSION_NAME};
@@ -251,7 +268,8 @@ Result<void> VkContext::choosePhysicalDevice(const std::string& wanted) {
     VkPhysicalDeviceProperties p;
     vkGetPhysicalDeviceProperties(d, &p);
     const std::string missing = lacksForOpen(d);
-    seen += (seen.empty() ? "" : ", ") + std::string(p.deviceName) + (missing.empty() ? "" : " (lacks " + missing + ")");
+    seen +=
+        (seen.empty() ? "" : ", ") + std::string(p.deviceName) + (missing.empty() ? "" : " (lacks " + missing + ")");
     const bool named = wanted == "auto" || (wanted == "cpu" && p.deviceType == VK_PHYSICAL_DEVICE_TYPE_CPU) ||
                        (wanted != "cpu" && lower(p.deviceName).find(lower(wanted)) != std::string::npos);
     if (!named || !missing.empty() || rank(p.deviceType) >= best) continue;
@@ -289,8 +307,8 @@ Result<void> VkContext::createDevice(const VulkanChoice& choice) {
     features.vertexPipelineStoresAndAtomics = has.vertexPipelineStoresAndAtomics;
     features.shaderInt64 = has.shaderInt64;
   }
-  auto timeline = zeroed<VkPhysicalDeviceTimelineSemaphoreFeatures>(
-      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES);
+  auto timeline =
+      zeroed<VkPhysicalDeviceTimelineSemaphoreFeatures>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES);
   timeline.timelineSemaphore = VK_TRUE;
   auto info = zeroed<VkDeviceCreateInfo>(VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO);
   info.pNext = &timeline;
@@ -370,7 +388,8 @@ Result<void> VkContext::wait(uint64_t submission) {
 
 Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record) {
   if (lost_) return failed("VkContext::run", VK_ERROR_DEVICE_LOST);
-  if (const VkResult r = vkResetCommandPool(device_, pool_, 0); r != VK_SUCCESS) return vkError("vkResetCommandPool", r);
+  if (const VkResult r = vkResetCommandPool(device_, pool_, 0); r != VK_SUCCESS)
+    return vkError("vkResetCommandPool", r);
   auto begin = zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
   begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
   if (const VkResult r = vkBeginCommandBuffer(commands_, &begin); r != VK_SUCCESS)
@@ -379,7 +398,8 @@ Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record
     vkCmdResetQueryPool(commands_, queries_, 0, 2);
     vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, queries_, 0);
   }
-  // Waiting for a semaphore on the host does not by itself make one submission's writes visible to the next one's commands.
+  // Waiting for a semaphore on the host does not by itself make one submission's writes visible to the next one's
+  // commands.
   auto from_before = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
   from_before.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
   from_before.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;

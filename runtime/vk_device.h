@@ -1,5 +1,5 @@
-// Instance, physical device, device, queue: our own or the caller's. Core Vulkan 1.2, nothing beyond it is needed; of its
-// optional parts: timelineSemaphore and subgroup arithmetic in compute shaders.
+// Instance, physical device, device, queue: our own or the caller's. Core Vulkan 1.2, nothing beyond it is needed; of
+// its optional parts: timelineSemaphore and subgroup arithmetic in compute shaders.
 #pragma once
 #include <vulkan/vulkan.h>
 
@@ -25,16 +25,17 @@ T zeroed(VkStructureType type) {
   return t;
 }
 
-// "vkCreateBuffer failed: VK_ERROR_OUT_OF_DEVICE_MEMORY", kIo; cause tells a lost and a full device apart from the rest.
+// "vkCreateBuffer failed: VK_ERROR_OUT_OF_DEVICE_MEMORY", kIo; cause tells a lost and a full device apart from the
+// rest.
 Error vkError(const char* call, VkResult result);
 
 class VkContext {
  public:
   static Result<std::shared_ptr<VkContext>> open(const VulkanChoice& choice);
-  // Runs on the caller's device and destroys nothing of it. The instance's and the device's API version must be at least
-  // 1.2, `timelineSemaphore` must have been enabled, and queue_family must be able to compute (graphics is not needed).
-  // The caller does not use the queue while a call that waits runs (Vulkan's rule: queues are externally synchronised),
-  // and destroys the device only after the context. memory_bytes: as VulkanChoice.
+  // Runs on the caller's device and destroys nothing of it. The instance's and the device's API version must be at
+  // least 1.2, `timelineSemaphore` must have been enabled, and queue_family must be able to compute (graphics is not
+  // needed). The caller does not use the queue while a call that waits runs (Vulkan's rule: queues are externally
+  // synchronised), and destroys the device only after the context. memory_bytes: as VulkanChoice.
   static Result<std::shared_ptr<VkContext>> adopt(VkInstance instance, VkPhysicalDevice physical, VkDevice device,
                                                   uint32_t queue_family, VkQueue queue, uint64_t memory_bytes = 0);
   VkContext(const VkContext&) = delete;

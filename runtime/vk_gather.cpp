@@ -38,11 +38,12 @@ PaddedRows padRows(const LocalMatrix& m, uint64_t max_vectors, uint64_t align_ve
   PaddedRows::Chunk chunk;
   for (uint32_t slot = 0; slot < m.slots(); ++slot) {
     if (!m.leaf[slot]) continue;
-    const uint32_t begin = m.row_start[slot], end = m.row_start[slot + 1];
+    const uint32_t begin = m.row_start[slot], end = begin + m.row_entries[slot];
     const uint32_t vectors = (end - begin + shaders::kEntriesPerLoad - 1) / shaders::kEntriesPerLoad;
     if (chunk.vectors + vectors > max_vectors && chunk.rows > 0) {
       p.chunks.push_back(chunk);
-      const uint64_t next = (p.entries.size() / shaders::kEntriesPerLoad + align_vectors - 1) / align_vectors * align_vectors;
+      const uint64_t next =
+          (p.entries.size() / shaders::kEntriesPerLoad + align_vectors - 1) / align_vectors * align_vectors;
       p.entries.resize(next * shaders::kEntriesPerLoad, 0);
       chunk = {static_cast<uint32_t>(p.rows.size()), 0, next, 0};
     }
@@ -68,7 +69,8 @@ class VulkanGather final : public Solver {
     max_binding_bytes_ = settings.max_binding_bytes ? std::min(settings.max_binding_bytes, limit) : limit;
   }
 
-  Result<void> setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) override;
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
   Result<void> iterate(int k) override;
   Result<void> radiosity(std::span<Vec4> out) override;
@@ -83,7 +85,10 @@ class VulkanGather final : public Solver {
   ComputePipeline gather_, refine_;
   std::string name_ = "vulkan: " + context_->deviceName();
   uint64_t max_binding_bytes_ = 0;
-  std::shared_ptr<const LocalMatrix> matrix_;
+  Result<void> setMatrix(const LocalMatrix& m, std::span<const Vec4> warm_start);
+
+  const LocalMatrix* matrix_ = nullptr;
+  uint32_t slots_ = 0;  // of the buffers
   std::vector<PaddedRows::Chunk> chunks_;
   Buffer rows_, entries_, albedo_area_, source_, refined_;
   Buffer radiosity_[2];
@@ -94,8 +99,26 @@ class VulkanGather final : public Solver {
   double last_ms_ = 0;
 };
 
-Result<void> VulkanGather::setMatrix(std::shared_ptr<const LocalMatrix> matrix, std::span<const Vec4> warm_start) {
-  const LocalMatrix& m = *matrix;
+Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
+  const bool all = std::exchange(matrix_, &m) != &m || change.renumbered;
+  std::vector<Vec4> start(all ? 0 : slots_);
+  if (!all)
+    if (auto read = radiosity(start); !read) return read;
+  start.resize(m.slots());
+  for (const uint32_t t : change.entered) {  // parents first
+    const SlotRange& range = m.tiles[t];
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s)
+      start[s] = m.parent_slot[s] != kNoSlot ? start[m.parent_slot[s]] : Vec4{};
+  }
+  return setMatrix(m, start);
+}
+
+Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
+  FF_CHECK_EQ(radiosity.size(), size_t{slots_});
+  return upload(*context_, radiosity_[now_], 0, std::as_bytes(radiosity));
+}
+
+Result<void> VulkanGather::setMatrix(const LocalMatrix& m, std::span<const Vec4> warm_start) {
   FF_CHECK_LT(0u, m.slots());
   if (!warm_start.empty()) FF_CHECK_EQ(warm_start.size(), size_t{m.slots()});
   const uint64_t align = std::max(kVectorBytes, uint64_t{context_->limits().minStorageBufferOffsetAlignment});
@@ -130,7 +153,7 @@ Result<void> VulkanGather::setMatrix(std::shared_ptr<const LocalMatrix> matrix, 
   radiosity_[1] = std::move(*second);
   now_ = 0;
   chunks_ = std::move(padded.chunks);
-  matrix_ = std::move(matrix);
+  slots_ = m.slots();
   return makeSets();
 }
 
@@ -161,7 +184,7 @@ Result<void> VulkanGather::makeSets() {
 }
 
 Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
-  FF_CHECK_EQ(source.size(), size_t{matrix_->slots()});
+  FF_CHECK_EQ(source.size(), size_t{slots_});
   return upload(*context_, source_, 0, std::as_bytes(source));
 }
 
@@ -204,7 +227,7 @@ Result<void> VulkanGather::iterate(int k) {
 }
 
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {
-  FF_CHECK_EQ(out.size(), size_t{matrix_->slots()});
+  FF_CHECK_EQ(out.size(), size_t{slots_});
   return download(*context_, radiosity_[now_], 0, std::as_writable_bytes(out));
 }
 

@@ -25,10 +25,8 @@ Result<StripPtr> loadNow(const formats::World& world, TileSource& source, TileId
     auto future = promise->get_future();
     source.read(id, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
     const Result<std::vector<std::byte>> bytes = future.get();
-    auto strip = std::make_shared<formats::Strip>();
-    const Result<void> decoded = bytes ? world.decodeStrip(id, *bytes, *strip) : Result<void>(bytes.error());
-    if (decoded) return StripPtr(std::move(strip));
-    if (attempt == 1) return decoded.error();
+    auto strip = bytes ? decodeAndPack(world, id, *bytes) : Result<StripPtr>(bytes.error());
+    if (strip || attempt == 1) return strip;
   }
 }
 
@@ -203,7 +201,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
   uint64_t nodes = 0, bytes = 0;
   for (const formats::TileInfo& info : world.tiles(static_cast<uint32_t>(world.levels().size() - 1))) {
     nodes += info.nodes;
-    bytes += decodedBytesBound(world, info);
+    bytes += residentBytesBound(world, info);
   }
   if (nodes > s.max_nodes)
     return refuse(

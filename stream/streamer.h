@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "formats/reader.h"
+#include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {
@@ -32,8 +33,6 @@ struct StreamStats {
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
 };
-
-using StripPtr = std::shared_ptr<const formats::Strip>;
 
 class Streamer {
  public:

@@ -7,6 +7,14 @@ namespace ff::stream {
 
 using formats::TileId;
 
+Result<StripPtr> decodeAndPack(const formats::World& world, TileId id, std::span<const std::byte> stored) {
+  formats::Strip strip;
+  if (auto decoded = world.decodeStrip(id, stored, strip); !decoded) return decoded.error();
+  auto packed = pack(std::move(strip));
+  if (!packed) return packed.error();
+  return std::make_shared<const ResidentStrip>(std::move(*packed));
+}
+
 StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
                          size_t most_queued)
     : world_(world),
@@ -193,11 +201,10 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
 }
 
 void StripLoader::decode(const Stored& stored) {
-  auto strip = std::make_shared<formats::Strip>();
-  const Result<void> decoded = world_.decodeStrip(stored.id, stored.bytes, *strip);
+  auto strip = decodeAndPack(world_, stored.id, stored.bytes);
   const std::lock_guard lock(pipeline_mutex_);
-  if (!decoded) failure_ = decoded.error();
-  arrive(stored.id, decoded ? std::move(strip) : nullptr, stored.bytes.size());
+  if (!strip) failure_ = strip.error();
+  arrive(stored.id, strip ? std::move(*strip) : nullptr, stored.bytes.size());
 }
 
 void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {

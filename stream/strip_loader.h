@@ -15,14 +15,17 @@
 #include <vector>
 
 #include "formats/reader.h"
+#include "stream/resident_strip.h"
 #include "stream/tile_numbers.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {
 
+// From stored bytes to a strip to keep. Errors: as World::decodeStrip and pack.
+Result<StripPtr> decodeAndPack(const formats::World& world, formats::TileId id, std::span<const std::byte> stored);
+
 class StripLoader {
  public:
-  using StripPtr = std::shared_ptr<const formats::Strip>;
   struct Arrival {
     formats::TileId id;
     StripPtr strip;             // null: reading or decoding failed

@@ -11,7 +11,7 @@ TileCache::TileCache(const formats::World& world, uint64_t memory_bytes)
 
 void TileCache::insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving) {
   const uint32_t number = numbers_.of(strip->id);
-  const uint64_t bytes = decodedBytes(*strip);
+  const uint64_t bytes = residentBytes(*strip);
   if (items_[number].strip || (!wanted && bytes_ + bytes > memory_bytes_)) {
     leaving.push_back(std::move(strip));
     return;

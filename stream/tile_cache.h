@@ -6,14 +6,13 @@
 #include <memory>
 #include <vector>
 
-#include "formats/layout.h"
+#include "stream/resident_strip.h"
 #include "stream/tile_numbers.h"
 
 namespace ff::stream {
 
 class TileCache {
  public:
-  using StripPtr = std::shared_ptr<const formats::Strip>;
   TileCache(const formats::World& world, uint64_t memory_bytes);
 
   // Takes a strip, evicting unwanted ones if need be. An unwanted strip for which that would be needed is refused.

@@ -7,15 +7,12 @@ namespace ff::stream {
 using formats::TileId;
 using formats::TileInfo;
 
-uint64_t decodedBytes(const formats::Strip& strip) {
-  return sizeof(formats::Strip) + strip.nodes.size() * sizeof(formats::Node) +
-         strip.blocks.size() * sizeof(formats::Block) + strip.counts.size() * 4;
-}
-
-uint64_t decodedBytesBound(const formats::World& world, const TileInfo& info) {
-  const uint64_t blocks = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
-  return sizeof(formats::Strip) + info.nodes * sizeof(formats::Node) + blocks * sizeof(formats::Block) +
-         uint64_t{info.entries} * 4;
+uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
+  const uint64_t partners = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
+  // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
+  const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (world.info().quanta / 255 + 1);
+  return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * 4 + 16 * (uint64_t{info.nodes} + 1) +
+         info.entries * sizeof(ResidentStrip::Run) + words * 2;
 }
 
 std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, TileId id) {
@@ -55,7 +52,7 @@ std::span<const TileId> WantedTiles::walk(Vec3 observer) {
     if (id.level == 0 && level0_closed_) continue;
     const TileInfo& info = world_.tiles(id.level)[id.tile];
     if (nodes_ + info.nodes > settings_.max_nodes) break;
-    if (bytes_ + decodedBytesBound(world_, info) > settings_.memory_bytes) break;
+    if (bytes_ + residentBytesBound(world_, info) > settings_.memory_bytes) break;
     if (id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
       level0_closed_ = true;
     else
@@ -68,7 +65,7 @@ std::span<const TileId> WantedTiles::walk(Vec3 observer) {
 void WantedTiles::admit(const TileInfo& info, Vec3 observer) {
   last_wanted_[info.id.level][info.id.tile] = walk_;
   wanted_.push_back(info.id);
-  bytes_ += decodedBytesBound(world_, info);
+  bytes_ += residentBytesBound(world_, info);
   nodes_ += info.nodes;
   if (info.id.level == 0)
     level0_nodes_ += info.nodes;

@@ -10,10 +10,8 @@
 
 namespace ff::stream {
 
-// Bytes that a strip takes in memory.
-uint64_t decodedBytes(const formats::Strip& strip);
-// At most so many for a tile that is not decoded yet.
-uint64_t decodedBytesBound(const formats::World& world, const formats::TileInfo& info);
+// Bytes in memory, at most, of a tile that is not decoded yet.
+uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo& info);
 
 // First and last tile of level + 1 that hold the parents of the tile's nodes. Not for the top level.
 std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, formats::TileId id);

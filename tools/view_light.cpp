@@ -27,9 +27,9 @@ std::vector<shaders::Light> gatherLight(const LocalMatrix& m, std::span<const Ve
   std::vector<shaders::Light> light(m.slots());
   for (uint32_t s = 0; s < m.slots(); ++s) {
     Vec3 direct, bounced;
-    for (uint32_t e = m.row_start[s]; e < m.row_start[s + 1]; ++e) {
-      const float count = static_cast<float>(m.entries[e] & 0xffff);
-      const Vec4 &d = emission[m.entries[e] >> 16], &b = radiosity[m.entries[e] >> 16];
+    for (const uint32_t entry : m.row(s)) {
+      const float count = static_cast<float>(entry & 0xffff);
+      const Vec4 &d = emission[entry >> 16], &b = radiosity[entry >> 16];
       direct += count * Vec3{d.x, d.y, d.z};
       bounced += count * Vec3{b.x, b.y, b.z};
     }

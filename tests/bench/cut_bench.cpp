@@ -200,9 +200,10 @@ Solved solve(const formats::World& world, const Truth& truth, const stream::Stre
       source[range.first_slot + i] = {m.x, m.y, m.z, 0};
     }
   }
-  if (far_light == FarLight::kConstant) source.back() = meanOutside(truth, *matrix);
+  if (far_light == FarLight::kConstant) source[matrix->ambient_slot] = meanOutside(truth, *matrix);
   const auto solver = makeCpuGather();
-  orExit(solver->setMatrix(matrix, source));
+  orExit(solver->update(*matrix, {.any = true, .renumbered = true}));
+  orExit(solver->setRadiosity(source));
   orExit(solver->setSource(source));
   constexpr int kIterations = 200;  // albedo <= 0.9 and half of the light leaves for the sky: converged to fp32
   orExit(solver->iterate(kIterations));
@@ -213,8 +214,8 @@ Solved solve(const formats::World& world, const Truth& truth, const stream::Stre
   for (uint32_t s = 0; s < matrix->slots(); ++s) solved.leaves += matrix->leaf[s];
   for (const SlotRange& range : matrix->tiles)
     if (range.id.level == 0) solved.level0 += range.nodes;
-  solved.entries = matrix->entries.size();
-  solved.matrix_bytes = matrix->entries.size() * 4 + matrix->row_start.size() * 4 + matrix->row_scale.size() * 4;
+  solved.entries = matrix->used_entries;
+  solved.matrix_bytes = matrix->used_entries * 4 + matrix->row_start.size() * 4 + matrix->row_scale.size() * 4;
   return solved;
 }
 

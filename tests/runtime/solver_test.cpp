@@ -6,6 +6,7 @@
 #include "runtime/gather_kernels.h"
 #include "runtime/node_values.h"
 #include "runtime/worker_pool.h"
+#include "tests/runtime/hand_made.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {
@@ -27,7 +28,7 @@ std::vector<Vec4> randomSource(uint32_t slots, uint64_t seed) {
 
 std::vector<Vec4> solve(Solver& solver, const std::shared_ptr<const LocalMatrix>& matrix, std::span<const Vec4> source,
                         int iterations) {
-  EXPECT_TRUE(solver.setMatrix(matrix, {}));
+  EXPECT_TRUE(setMatrix(solver, *matrix));
   EXPECT_TRUE(solver.setSource(source));
   EXPECT_TRUE(solver.iterate(iterations));
   std::vector<Vec4> out(matrix->slots());
@@ -47,14 +48,15 @@ std::vector<std::array<double, 3>> naive(const TestWorld& test, const Cut& cut, 
     for (const auto& strip : cut) {  // finest level first: refined nodes find their children done
       const uint32_t level = strip->id.level;
       std::vector<std::array<double, 3>> irradiance(strip->nodes.size());
+      const formats::Strip& rows = test.strip(strip->id);
       size_t e = 0;
-      for (const formats::Block& block : strip->blocks)
+      for (const formats::Block& block : rows.blocks)
         for (const size_t end = e + block.entries; e < end; ++e) {
-          uint32_t l = level, node = test.world().tiles(level)[block.partner_tile].first_node + strip->columns[e];
+          uint32_t l = level, node = test.world().tiles(level)[block.partner_tile].first_node + rows.columns[e];
           while (slot_of.count({l, node}) == 0) node = test.world().parent(l++, node);
           const std::array<double, 3>& b = from[slot_of[{l, node}]];
           for (size_t c = 0; c < 3; ++c)
-            irradiance[strip->rows[e]][c] += b[c] * strip->counts[e] / strip->nodes[strip->rows[e]].quanta;
+            irradiance[rows.rows[e]][c] += b[c] * rows.counts[e] / rows.nodes[rows.rows[e]].quanta;
         }
       for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
         const uint32_t node = strip->first_node + i, slot = slot_of[{level, node}];
@@ -136,18 +138,16 @@ TEST(CpuGather, VectorAndPortableKernelsAgree) {
   const TestWorld test({.side = 32, .tile_nodes = 60, .seed = 5});
   const auto matrix = build(test, test.randomCut(0.8, 2));
   const std::vector<Vec4> source = randomSource(matrix->slots(), 1), from = randomSource(matrix->slots(), 2);
-  std::vector<uint32_t> leaves;
-  for (uint32_t s = 0; s < matrix->slots(); ++s)
-    if (matrix->leaf[s]) leaves.push_back(s);
   std::vector<Vec4> a(matrix->slots()), b(matrix->slots());
   GatherJob job{matrix->row_start.data(),
+                matrix->row_entries.data(),
                 matrix->entries.data(),
-                leaves.data(),
+                matrix->leaves.data(),
                 matrix->albedo.data(),
                 source.data(),
                 from.data(),
                 a.data()};
-  const auto count = static_cast<uint32_t>(leaves.size());
+  const auto count = static_cast<uint32_t>(matrix->leaves.size());
   gatherPortable(job, 0, count);
   job.to = b.data();
   fast(job, 0, count);
@@ -187,7 +187,7 @@ TEST(CpuGather, AWarmStartFromTheSolutionStaysThere) {
   const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
   const auto solver = makeCpuGather(2);
   const std::vector<Vec4> settled = solve(*solver, matrix, source, 400);
-  ASSERT_TRUE(solver->setMatrix(matrix, settled));
+  ASSERT_TRUE(setMatrix(*solver, *matrix, settled));
   ASSERT_TRUE(solver->setSource(source));
   std::vector<Vec4> after(matrix->slots());
   ASSERT_TRUE(solver->radiosity(after));

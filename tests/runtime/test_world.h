@@ -12,7 +12,7 @@
 
 namespace ff::runtime {
 
-using Cut = std::vector<std::shared_ptr<const formats::Strip>>;
+using Cut = std::vector<stream::StripPtr>;
 
 class TestWorld {
  public:
@@ -27,12 +27,15 @@ class TestWorld {
       for (const formats::TileInfo& info : world_->tiles(level)) {
         auto strip = world_->strip(info.id);
         if (!strip) throw std::runtime_error(strip.error().line());
-        strips_[info.id] = std::make_shared<const formats::Strip>(std::move(*strip));
+        strips_[info.id] = *strip;
+        auto packed = stream::pack(std::move(*strip));
+        if (!packed) throw std::runtime_error(packed.error().line());
+        packed_[info.id] = std::make_shared<const stream::ResidentStrip>(std::move(*packed));
       }
   }
 
   const formats::World& world() const { return *world_; }
-  const formats::Strip& strip(formats::TileId id) const { return *strips_.at(id); }
+  const formats::Strip& strip(formats::TileId id) const { return strips_.at(id); }
   const formats::Node& node(uint32_t level, uint32_t node) const {
     const formats::Strip& s = strip({level, world_->tileOf(level, node)});
     return s.nodes[node - s.first_node];
@@ -54,7 +57,7 @@ class TestWorld {
         if (parents && (level == top() || drawn)) in.insert(info.id);
       }
     Cut cut;
-    for (const formats::TileId id : in) cut.push_back(strips_.at(id));
+    for (const formats::TileId id : in) cut.push_back(packed_.at(id));
     return cut;
   }
 
@@ -62,7 +65,8 @@ class TestWorld {
   formats::TemporaryFolder folder_;
   formats::RandomWorld made_;
   std::unique_ptr<formats::World> world_;
-  std::map<formats::TileId, std::shared_ptr<const formats::Strip>> strips_;
+  std::map<formats::TileId, formats::Strip> strips_;
+  std::map<formats::TileId, stream::StripPtr> packed_;
 };
 
 }  // namespace ff::runtime

@@ -10,6 +10,7 @@
 #include "runtime/fallback_solver.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_gather.h"
+#include "tests/runtime/hand_made.h"
 
 namespace ff::runtime {
 namespace {
@@ -28,6 +29,7 @@ std::shared_ptr<const LocalMatrix> ring(uint32_t slots) {
     m.leaf.push_back(1);
   }
   m.refined_level_start = {0};
+  finishByHand(m);
   return std::make_shared<const LocalMatrix>(std::move(m));
 }
 
@@ -40,7 +42,7 @@ std::vector<Vec4> lamp(uint32_t slots) {
 std::vector<Vec4> solved(Solver& solver, const std::shared_ptr<const LocalMatrix>& m, int iterations) {
   std::vector<Vec4> b(m->slots());
   const auto source = lamp(m->slots());
-  auto r = solver.setMatrix(m, {});
+  auto r = setMatrix(solver, *m);
   if (r) r = solver.setSource(source);
   if (r) r = solver.iterate(iterations);
   if (r) r = solver.radiosity(b);

@@ -12,6 +12,7 @@
 
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
+#include "tests/runtime/hand_made.h"
 
 namespace ff::runtime {
 namespace {
@@ -69,6 +70,7 @@ LocalMatrix randomMatrix(uint32_t leaves, uint32_t max_row, int refined_levels, 
     }
   }
   m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
+  finishByHand(m);
   return m;
 }
 
@@ -82,12 +84,11 @@ std::vector<Rgb> reference(const LocalMatrix& m, std::span<const Vec4> source, s
     for (uint32_t s = 0; s < m.slots(); ++s) {
       if (!m.leaf[s]) continue;
       double sum[3] = {};
-      for (uint32_t e = m.row_start[s]; e < m.row_start[s + 1]; ++e)
-        for (int c = 0; c < 3; ++c) sum[c] += (m.entries[e] & 0xffff) * b[m.entries[e] >> 16].v[c];
+      for (const uint32_t e : m.row(s))
+        for (int c = 0; c < 3; ++c) sum[c] += (e & 0xffff) * b[e >> 16].v[c];
       const double albedo[3] = {m.albedo[s].x, m.albedo[s].y, m.albedo[s].z};
       const double emitted[3] = {source[s].x, source[s].y, source[s].z};
-      for (int c = 0; c < 3; ++c)
-        next[s].v[c] = emitted[c] + albedo[c] * static_cast<double>(m.row_scale[s]) * sum[c];
+      for (int c = 0; c < 3; ++c) next[s].v[c] = emitted[c] + albedo[c] * static_cast<double>(m.row_scale[s]) * sum[c];
     }
     for (const auto& r : m.refined) {
       double area = 0;
@@ -113,13 +114,13 @@ std::vector<Vec4> randomSource(uint32_t slots, uint32_t seed) {
 
 uint32_t longestSum(const LocalMatrix& m) {
   uint32_t longest = 8;  // children of a refined slot
-  for (uint32_t s = 0; s < m.slots(); ++s) longest = std::max(longest, m.row_start[s + 1] - m.row_start[s]);
+  for (uint32_t s = 0; s < m.slots(); ++s) longest = std::max(longest, m.row_entries[s]);
   return longest;
 }
 
-// Every term of a row is >= 0, so the relative error of a fp32 sum of n products is at most (n + 5) u, in any order, with
-// u = 2^-24: n - 1 additions, two roundings a product (count is exact), the scale, the albedo, the emitted light. A
-// division on the device may err by 2.5 ulp = 5 u, which is the refined slots' share. An iteration hands its relative
+// Every term of a row is >= 0, so the relative error of a fp32 sum of n products is at most (n + 5) u, in any order,
+// with u = 2^-24: n - 1 additions, two roundings a product (count is exact), the scale, the albedo, the emitted light.
+// A division on the device may err by 2.5 ulp = 5 u, which is the refined slots' share. An iteration hands its relative
 // error on undiminished (non-negative terms again: F cannot amplify a relative error), so k iterations stay within
 // k * levels-deep chains: k * ((n + 5) + levels * (8 + 8)) u.
 double tolerance(const LocalMatrix& m, int iterations) {
@@ -148,7 +149,7 @@ class VkGather : public testing::Test {
     for (size_t i = 0; i < start.size(); ++i) b[i] = {{start[i].x, start[i].y, start[i].z}};
     const std::vector<Vec4> source = randomSource(m.slots(), 5);
     auto kept = std::make_shared<const LocalMatrix>(m);
-    auto set = (*solver)->setMatrix(kept, start);
+    auto set = setMatrix(**solver, *kept, start);
     ASSERT_TRUE(set) << set.error().line();
     ASSERT_TRUE((*solver)->setSource(source));
     // In two calls, so that the state between calls is tested, too.
@@ -193,7 +194,7 @@ TEST_F(VkGather, AgreesWithTheCpuGather) {
   const std::unique_ptr<Solver> cpu = makeCpuGather(2);
   std::vector<Vec4> a(m->slots()), b(m->slots());
   for (auto [solver, out] : {std::pair<Solver*, std::vector<Vec4>*>(vulkan->get(), &a), {cpu.get(), &b}}) {
-    ASSERT_TRUE(solver->setMatrix(m, {}));
+    ASSERT_TRUE(setMatrix(*solver, *m));
     ASSERT_TRUE(solver->setSource(source));
     ASSERT_TRUE(solver->iterate(12));
     ASSERT_TRUE(solver->radiosity(*out));
@@ -222,9 +223,10 @@ TEST_F(VkGather, HandlesASingleSlot) {
   m.entries = {1024};
   m.row_start = {0, 1};
   m.row_scale = {1.0f / 1024};
+  finishByHand(m);
   auto solver = makeVulkanGather(context_);
   ASSERT_TRUE(solver) << solver.error().line();
-  ASSERT_TRUE((*solver)->setMatrix(std::make_shared<const LocalMatrix>(m), {}));
+  ASSERT_TRUE(setMatrix(**solver, m));
   ASSERT_TRUE((*solver)->setSource(std::vector<Vec4>{{1, 1, 1, 0}}));
   ASSERT_TRUE((*solver)->iterate(300));
   std::vector<Vec4> b(1);
@@ -248,8 +250,11 @@ TEST_F(VkGather, HandlesAllSlotsThatAnEntryCanName) {
     m.area_m2.push_back(1);
     m.leaf.push_back(0);
     m.row_scale.push_back(1);
-    m.row_start.push_back(m.row_start.back());
+    m.row_start.push_back(0);
   }
+  m.row_start.push_back(static_cast<uint32_t>(m.entries.size()));
+  for (uint32_t r = 0; r < refined; ++r) m.row_start[leaves + r] = m.row_start.back();
+  finishByHand(m);
   for (uint32_t& e : m.entries)
     if (e % 7 == 0) e = (kMaxSlots - 1 - e % refined) << 16 | (e & 0xffff);
   ASSERT_EQ(m.slots(), kMaxSlots);
@@ -263,7 +268,7 @@ TEST_F(VkGather, SplitsEntriesThatExceedTheBindingRange) {
     expectAgrees(m, 6, {.max_binding_bytes = bytes});
   auto solver = makeVulkanGather(context_, {.max_binding_bytes = 64});
   ASSERT_TRUE(solver);
-  EXPECT_FALSE((*solver)->setMatrix(std::make_shared<const LocalMatrix>(m), {}));
+  EXPECT_FALSE(setMatrix(**solver, m));
 }
 
 TEST_F(VkGather, TakesAnotherMatrixAndForgetsTheLast) {
@@ -272,7 +277,7 @@ TEST_F(VkGather, TakesAnotherMatrixAndForgetsTheLast) {
   for (uint32_t leaves : {900u, 30u, 2500u}) {
     const LocalMatrix m = randomMatrix(leaves, 90, 2, leaves);
     const auto source = randomSource(m.slots(), leaves);
-    ASSERT_TRUE((*solver)->setMatrix(std::make_shared<const LocalMatrix>(m), {}));
+    ASSERT_TRUE(setMatrix(**solver, m));
     ASSERT_TRUE((*solver)->setSource(source));
     ASSERT_TRUE((*solver)->iterate(4));
     std::vector<Vec4> got(m.slots());
@@ -283,8 +288,8 @@ TEST_F(VkGather, TakesAnotherMatrixAndForgetsTheLast) {
   }
 }
 
-// Synchronisation validation does not see a missing barrier between two dispatches that write one buffer, so the barriers
-// are tested by results: many iterations over a chain in which every iteration needs the last one's light.
+// Synchronisation validation does not see a missing barrier between two dispatches that write one buffer, so the
+// barriers are tested by results: many iterations over a chain in which every iteration needs the last one's light.
 TEST_F(VkGather, GivesTheSameBitsEveryTime) {
   const auto m = std::make_shared<const LocalMatrix>(randomMatrix(6000, 100, 3, 11));
   const auto source = randomSource(m->slots(), 12);
@@ -292,7 +297,7 @@ TEST_F(VkGather, GivesTheSameBitsEveryTime) {
   for (int repeat = 0; repeat < 20; ++repeat) {
     auto solver = makeVulkanGather(context_);
     ASSERT_TRUE(solver);
-    ASSERT_TRUE((*solver)->setMatrix(m, {}));
+    ASSERT_TRUE(setMatrix(**solver, *m));
     ASSERT_TRUE((*solver)->setSource(source));
     ASSERT_TRUE((*solver)->iterate(20));
     std::vector<Vec4> b(m->slots());

@@ -189,7 +189,7 @@ TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
       ASSERT_TRUE(streamer->settle());
     }
     uint64_t bytes = 0;
-    for (const StripPtr& strip : streamer->active()) bytes += decodedBytes(*strip);
+    for (const StripPtr& strip : streamer->active()) bytes += residentBytes(*strip);
     ASSERT_LE(bytes, budget);
     ASSERT_LE(streamer->stats().resident_bytes, budget);
   }

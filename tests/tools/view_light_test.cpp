@@ -1,4 +1,5 @@
 #include "tools/view_light.h"
+#include "tests/runtime/hand_made.h"
 
 #include <gtest/gtest.h>
 
@@ -22,6 +23,7 @@ LocalMatrix smallMatrix() {
   m.albedo.resize(4, {0.5f, 0.5f, 0.5f, 0});
   m.area_m2 = {1, 1, 3, 4};
   m.leaf = {1, 1, 1, 0};
+  runtime::finishByHand(m);
   return m;
 }
 

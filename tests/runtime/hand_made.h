@@ -1,0 +1,29 @@
+// Local matrices made by hand for tests of solvers, without a world.
+#pragma once
+#include "runtime/solver.h"
+
+namespace ff::runtime {
+
+// row_start has one item more than there are slots, rows follow each other; fills in what can be told from that.
+inline void finishByHand(LocalMatrix& m) {
+  const uint32_t slots = m.slots();
+  m.row_entries.resize(slots);
+  m.parent_slot.assign(slots, kNoSlot);
+  m.leaves.clear();
+  m.used_entries = m.entries.size();
+  for (uint32_t s = 0; s < slots; ++s) {
+    m.row_entries[s] = m.row_start[s + 1] - m.row_start[s];
+    if (m.leaf[s]) m.leaves.push_back(s);
+  }
+  m.row_start.pop_back();
+  for (const LocalMatrix::Refined& r : m.refined)
+    for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) m.parent_slot[c] = r.slot;
+}
+
+// A new matrix to a solver, and radiosity to start from (empty: zero).
+inline Result<void> setMatrix(Solver& solver, const LocalMatrix& matrix, std::span<const Vec4> warm_start = {}) {
+  if (auto taken = solver.update(matrix, {.any = true, .renumbered = true}); !taken) return taken;
+  return warm_start.empty() ? Result<void>() : solver.setRadiosity(warm_start);
+}
+
+}  // namespace ff::runtime

@@ -1,0 +1,178 @@
+#include "runtime/matrix_assembler.h"
+
+#include <map>
+
+#include "runtime/solver.h"
+#include "tests/runtime/test_world.h"
+
+namespace ff::runtime {
+namespace {
+
+using NodeId = std::pair<uint32_t, uint32_t>;  // level, node
+
+// What a matrix says of each node, by node instead of by slot.
+struct NodeView {
+  std::vector<std::pair<NodeId, uint32_t>> row;  // column and count, in order
+  float scale = 0;
+  bool leaf = false;
+  NodeId parent{kNoSlot, 0};
+  friend bool operator==(const NodeView&, const NodeView&) = default;
+};
+
+std::map<NodeId, NodeView> byNode(const LocalMatrix& m) {
+  std::map<uint32_t, NodeId> node_of_slot;
+  for (const SlotRange& range : m.tiles)
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const bool fresh =
+          node_of_slot.emplace(range.first_slot + i, NodeId{range.id.level, range.first_node + i}).second;
+      EXPECT_TRUE(fresh) << "two nodes in one slot";
+    }
+  std::map<NodeId, NodeView> nodes;
+  for (const auto& [slot, id] : node_of_slot) {
+    NodeView& view = nodes[id];
+    for (const uint32_t entry : m.row(slot)) view.row.emplace_back(node_of_slot.at(entry >> 16), entry & 0xffff);
+    view.scale = m.row_scale[slot];
+    view.leaf = m.leaf[slot] != 0;
+    if (m.parent_slot[slot] != kNoSlot) view.parent = node_of_slot.at(m.parent_slot[slot]);
+  }
+  return nodes;
+}
+
+void expectSame(const LocalMatrix& a, const LocalMatrix& b) {
+  EXPECT_EQ(a.used_entries, b.used_entries);
+  ASSERT_EQ(a.leaves.size(), b.leaves.size());
+  ASSERT_EQ(a.refined.size(), b.refined.size());
+  ASSERT_EQ(a.refined_level_start, b.refined_level_start);
+  const auto x = byNode(a), y = byNode(b);
+  ASSERT_EQ(x.size(), y.size());
+  for (const auto& [id, view] : x) ASSERT_TRUE(view == y.at(id)) << id.first << ":" << id.second;
+}
+
+TEST(MatrixAssembler, AfterAnyWalkTheMatrixIsThatOfAFreshBuild) {
+  for (uint64_t seed = 1; seed <= 3; ++seed) {
+    const TestWorld test({.side = 32, .tile_nodes = 24, .equal_areas = false, .seed = seed});
+    MatrixAssembler walked(test.world());
+    std::mt19937_64 random(seed);
+    for (int step = 0; step < 40; ++step) {
+      const double chance = static_cast<double>(random() % 11) / 10;
+      const Cut cut = test.randomCut(chance, random());
+      ASSERT_TRUE(walked.update(cut));
+      MatrixAssembler fresh(test.world());
+      ASSERT_TRUE(fresh.update(cut));
+      expectSame(walked.matrix(), fresh.matrix());
+    }
+  }
+}
+
+TEST(MatrixAssembler, ASlotKeepsItsNodeWhileItsTileIsActive) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 4});
+  MatrixAssembler assembler(test.world());
+  std::map<formats::TileId, uint32_t> first_slot;
+  for (uint64_t step = 0; step < 60; ++step) {
+    ASSERT_TRUE(assembler.update(test.randomCut(0.7, step)));
+    const MatrixChange& change = assembler.change();
+    if (change.renumbered) first_slot.clear();
+    for (const SlotRange& left : change.left) EXPECT_EQ(first_slot.erase(left.id), change.renumbered ? 0u : 1u);
+    for (const uint32_t t : change.entered) {
+      const SlotRange& range = assembler.matrix().tiles[t];
+      EXPECT_TRUE(first_slot.emplace(range.id, range.first_slot).second);
+    }
+    ASSERT_EQ(first_slot.size(), assembler.matrix().tiles.size());
+    for (const SlotRange& range : assembler.matrix().tiles) EXPECT_EQ(first_slot.at(range.id), range.first_slot);
+  }
+}
+
+TEST(MatrixAssembler, NamesEveryTileWhoseRowsChanged) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 5});
+  MatrixAssembler assembler(test.world());
+  std::map<formats::TileId, std::vector<std::vector<uint32_t>>> rows;  // as last named
+  const auto rowsOf = [&](const SlotRange& range) {
+    std::vector<std::vector<uint32_t>> all;
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const auto row = assembler.matrix().row(range.first_slot + i);
+      all.emplace_back(row.begin(), row.end());
+      // A slot that is no longer a leaf loses its row without its tile being named: MatrixChange::entered tells.
+      if (!assembler.matrix().leaf[range.first_slot + i]) all.back().assign(1, kNoSlot);
+    }
+    return all;
+  };
+  int unnamed = 0;
+  for (uint64_t step = 0; step < 60; ++step) {
+    ASSERT_TRUE(assembler.update(test.randomCut(0.8, step / 2 * 2 + step % 2)));
+    const LocalMatrix& m = assembler.matrix();
+    for (const uint32_t t : assembler.change().rows) rows[m.tiles[t].id] = rowsOf(m.tiles[t]);
+    for (const SlotRange& range : m.tiles) {
+      auto now = rowsOf(range);
+      const auto& known = rows.at(range.id);
+      for (size_t i = 0; i < now.size(); ++i) {
+        const bool refined = now[i] == std::vector<uint32_t>{kNoSlot};
+        if (!refined) {
+          ASSERT_EQ(now[i], known[i]) << step;
+        }
+      }
+    }
+    unnamed += static_cast<int>(m.tiles.size() - assembler.change().rows.size());
+  }
+  EXPECT_GT(unnamed, 0);  // else the list says nothing
+}
+
+TEST(MatrixAssembler, TheSameCutAgainChangesNothing) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  MatrixAssembler assembler(test.world());
+  const Cut cut = test.randomCut(0.6, 1);
+  ASSERT_TRUE(assembler.update(cut));
+  EXPECT_TRUE(assembler.change().any);
+  ASSERT_TRUE(assembler.update(cut));
+  EXPECT_FALSE(assembler.change().any);
+  EXPECT_TRUE(assembler.change().rows.empty());
+}
+
+TEST(MatrixAssembler, ARefusedCutLeavesTheMatrixAsItWas) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  MatrixAssembler assembler(test.world());
+  const Cut cut = test.randomCut(0.6, 1);
+  ASSERT_TRUE(assembler.update(cut));
+  Cut broken = test.randomCut(0.9, 2);
+  broken.pop_back();  // a tile of the top level
+  const auto refused = assembler.update(broken);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUsage);
+  MatrixAssembler fresh(test.world());
+  ASSERT_TRUE(fresh.update(cut));
+  expectSame(assembler.matrix(), fresh.matrix());
+}
+
+// The bits of a node's radiosity depend on its row's order and on the light alone, not on the numbers of slots.
+TEST(MatrixAssembler, RadiosityHasTheSameBitsWhateverTheWalk) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 6});
+  const Cut cut = test.randomCut(0.6, 77);
+  MatrixAssembler walked(test.world()), fresh(test.world());
+  for (uint64_t step = 0; step < 10; ++step) ASSERT_TRUE(walked.update(test.randomCut(0.7, step)));
+  std::map<NodeId, Vec4> radiosity[2];
+  int which = 0;
+  for (MatrixAssembler* assembler : {&walked, &fresh}) {
+    ASSERT_TRUE(assembler->update(cut));
+    const LocalMatrix& m = assembler->matrix();
+    std::vector<Vec4> source(m.slots()), out(m.slots());
+    for (const SlotRange& range : m.tiles)
+      for (uint32_t i = 0; i < range.nodes; ++i)
+        source[range.first_slot + i] = {static_cast<float>((range.first_node + i) % 13), 1, 0.25f, 0};
+    const auto solver = makeCpuGather(2);
+    ASSERT_TRUE(solver->update(m, {.any = true, .renumbered = true}));
+    ASSERT_TRUE(solver->setSource(source));
+    ASSERT_TRUE(solver->iterate(20));
+    ASSERT_TRUE(solver->radiosity(out));
+    for (const SlotRange& range : m.tiles)
+      for (uint32_t i = 0; i < range.nodes; ++i)
+        radiosity[which][{range.id.level, range.first_node + i}] = out[range.first_slot + i];
+    ++which;
+  }
+  ASSERT_EQ(radiosity[0].size(), radiosity[1].size());
+  for (const auto& [id, b] : radiosity[0]) {
+    ASSERT_EQ(b.x, radiosity[1].at(id).x);
+    ASSERT_EQ(b.y, radiosity[1].at(id).y);
+  }
+}
+
+}  // namespace
+}  // namespace ff::runtime
