@@ -342,7 +342,7 @@ Result<void> VkContext::createOwnObjects() {
   if (has_timestamps_) {
     auto queries = zeroed<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
     queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
-    queries.queryCount = 2;
+    queries.queryCount = 4;
     if (const VkResult r = vkCreateQueryPool(device_, &queries, nullptr, &queries_); r != VK_SUCCESS)
       return vkError("vkCreateQueryPool", r);
   }
@@ -395,7 +395,7 @@ Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record
   if (const VkResult r = vkBeginCommandBuffer(commands_, &begin); r != VK_SUCCESS)
     return vkError("vkBeginCommandBuffer", r);
   if (queries_) {
-    vkCmdResetQueryPool(commands_, queries_, 0, 2);
+    vkCmdResetQueryPool(commands_, queries_, 0, 4);
     vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, queries_, 0);
   }
   // Waiting for a semaphore on the host does not by itself make one submission's writes visible to the next one's
@@ -405,6 +405,7 @@ Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record
   from_before.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
   vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
                        &from_before, 0, nullptr, 0, nullptr);
+  timed_ = false;
   record(commands_);
   // A semaphore makes writes available, not visible to the host: that needs this barrier.
   auto to_host = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
@@ -421,14 +422,28 @@ Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record
   if (auto r = wait(*submission); !r) return r.error();
   double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
   if (queries_) {
-    uint64_t ticks[2] = {};
-    if (const VkResult r = vkGetQueryPoolResults(device_, queries_, 0, 2, sizeof(ticks), ticks, sizeof(uint64_t),
+    uint64_t ticks[4] = {};
+    const uint32_t count = timed_ ? 4 : 2;
+    if (const VkResult r = vkGetQueryPoolResults(device_, queries_, 0, count, sizeof(ticks), ticks, sizeof(uint64_t),
                                                  VK_QUERY_RESULT_64_BIT | VK_QUERY_RESULT_WAIT_BIT);
         r != VK_SUCCESS)
       return failed("vkGetQueryPoolResults", r);
-    ms = static_cast<double>(ticks[1] - ticks[0]) * static_cast<double>(properties_.limits.timestampPeriod) * 1e-6;
+    const double ms_per_tick = static_cast<double>(properties_.limits.timestampPeriod) * 1e-6;
+    ms = static_cast<double>(ticks[1] - ticks[0]) * ms_per_tick;
+    if (timed_) timed_ms_ = static_cast<double>(ticks[3] - ticks[2]) * ms_per_tick;
+  } else if (timed_) {
+    timed_ms_ = ms;
   }
   return ms;
+}
+
+void VkContext::beginTimed(VkCommandBuffer commands) {
+  timed_ = true;
+  if (queries_) vkCmdWriteTimestamp(commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 2);
+}
+
+void VkContext::endTimed(VkCommandBuffer commands) {
+  if (queries_) vkCmdWriteTimestamp(commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 3);
 }
 
 }  // namespace ff::runtime

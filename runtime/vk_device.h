@@ -58,6 +58,11 @@ class VkContext {
   // visible to the host and to the next run().
   Result<double> run(const std::function<void(VkCommandBuffer)>& record);
 
+  // Inside `record`: the commands between the two are timed apart from the rest, timedMs() after the run. At most once.
+  void beginTimed(VkCommandBuffer commands);
+  void endTimed(VkCommandBuffer commands);
+  double timedMs() const { return timed_ms_; }  // of the last run that had a timed part; wall time as for run()
+
   // Our submissions are numbered 1, 2, ...; a timeline semaphore counts those that have finished. A submission that the
   // device does not finish within two minutes counts as a lost device.
   Result<uint64_t> submit(VkCommandBuffer commands);
@@ -96,7 +101,9 @@ class VkContext {
   uint64_t submitted_ = 0;
   bool lost_ = false;
   uint64_t submissions_until_lost_ = UINT64_MAX;
-  VkQueryPool queries_ = VK_NULL_HANDLE;
+  VkQueryPool queries_ = VK_NULL_HANDLE;  // start and end of a run, start and end of its timed part
+  bool timed_ = false;
+  double timed_ms_ = 0;
   std::unique_ptr<VkHeap> heap_;
   mutable std::mutex message_mutex_;  // layers may call back from any thread
   std::vector<std::string> messages_;

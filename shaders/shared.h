@@ -44,6 +44,39 @@ struct RefinePush {
   uint count;
 };
 
+// --- bounce_*.comp: the dense multi-bounce matrix; runtime/vk_multibounce.cpp has the formulas ---
+FF_CONST uint kBounceGroup = 128u;  // invocations; kFoldGroup for bounce_fold.comp
+FF_CONST uint kBounceBlock = 64u;   // nodes that enter or leave in one step, at most
+FF_CONST uint kBounceTile = 64u;    // matrices are padded to whole tiles of 64 x 64
+FF_CONST uint kFoldGroup = 64u;     // 8 x 8 invocations, 8 x 8 elements each
+FF_CONST uint kFoldDepth = 16u;     // of the factors in shared memory at once
+FF_CONST uint kBounceRows = 4u;     // rows that a subgroup multiplies at once, so that the vector is loaded once for all
+FF_CONST uint kBounceMean = 3u;     // BouncePush::channel of a matrix for the mean of the channels
+FF_CONST uint kNotInBlock = 0xffffffffu;
+FF_CONST float kHalfMatrixScale = 8.0f;  // fp16 matrices hold 8 times the value: normal numbers from 7.6e-6 to 8191
+
+// Words of the buffer that describes a block.
+FF_CONST uint kBlockPlaces = 0u;          // kBounceBlock
+FF_CONST uint kBlockAlbedo = 64u;         // channel by channel, the mean last: 4 * kBounceBlock floats
+FF_CONST uint kBlockRowStart = 320u;      // kBounceBlock + 1
+FF_CONST uint kBlockColumnStart = 385u;   // kBounceBlock + 1
+FF_CONST uint kBlockIndex = 512u;         // per place its number in the block, or kNotInBlock; then pairs (place, value)
+
+struct BouncePush {
+  uint stride;      // places, rounded up to whole tiles
+  uint used;        // places below it may be in use; a multiple of kBounceTile
+  uint k;           // nodes of the block
+  uint channel;     // kBounceMean: one matrix for all
+  uint bound;       // the channel's number among the albedos and vectors that are bound: 0 where only its own are
+  uint leaving;     // 0: the block enters, 1: it leaves
+  uint columns_at;  // word of the first pair of F_LP in the block's buffer
+  uint first, end;  // columns to fold in; columns that are pending
+  uint pending;     // 1: the factors still count
+  uint x_at;        // floats from the start of a channel's vectors: what is multiplied
+  uint next_at;     // what luminance multiplies next; 0: nothing
+  uint count;       // entries, places: see the shader
+};
+
 // --- pictures: interpolate.comp, sun.vert/.frag, count.comp, surface.vert/.frag, sky.vert/.frag ---
 FF_CONST uint kInterpolateGroup = 64u;
 FF_CONST uint kCountGroup = 64u;
