@@ -46,27 +46,22 @@ __attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, ui
   const __m256i pair0 = _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1), pair1 = _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3),
                 pair2 = _mm256_setr_epi32(4, 4, 4, 4, 5, 5, 5, 5), pair3 = _mm256_setr_epi32(6, 6, 6, 6, 7, 7, 7, 7);
   const __m256i count_mask = _mm256_set1_epi32(0xffff);
+  const Vec4* const from = job.from;
   for (uint32_t i = begin; i < end; ++i) {
     const uint32_t slot = job.leaves[i];
     __m256 even = _mm256_setzero_ps(), odd = even;
-    uint32_t k = job.row_start[slot];
-    const uint32_t last = k + job.row_entries[slot];
-    for (; k + 8 <= last; k += 8) {
-      const uint32_t* e = job.entries + k;
+    const uint32_t* e = job.entries + job.row_start[slot];
+    const uint32_t* const last = e + job.row_entries[slot];
+    for (; e < last; e += kRowPadding) {  // rows are padded: no remainder
       const __m256i packed = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(e));
       const __m256 counts = _mm256_cvtepi32_ps(_mm256_and_si256(packed, count_mask));
-      even = _mm256_fmadd_ps(loadPair(job.from, e), _mm256_permutevar8x32_ps(counts, pair0), even);
-      odd = _mm256_fmadd_ps(loadPair(job.from, e + 2), _mm256_permutevar8x32_ps(counts, pair1), odd);
-      even = _mm256_fmadd_ps(loadPair(job.from, e + 4), _mm256_permutevar8x32_ps(counts, pair2), even);
-      odd = _mm256_fmadd_ps(loadPair(job.from, e + 6), _mm256_permutevar8x32_ps(counts, pair3), odd);
+      even = _mm256_fmadd_ps(loadPair(from, e), _mm256_permutevar8x32_ps(counts, pair0), even);
+      odd = _mm256_fmadd_ps(loadPair(from, e + 2), _mm256_permutevar8x32_ps(counts, pair1), odd);
+      even = _mm256_fmadd_ps(loadPair(from, e + 4), _mm256_permutevar8x32_ps(counts, pair2), even);
+      odd = _mm256_fmadd_ps(loadPair(from, e + 6), _mm256_permutevar8x32_ps(counts, pair3), odd);
     }
     even = _mm256_add_ps(even, odd);
-    __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));
-    for (; k < last; ++k) {
-      const uint32_t entry = job.entries[k];
-      const __m128 count = _mm_set1_ps(static_cast<float>(entry & 0xffff));
-      sum = _mm_fmadd_ps(_mm_loadu_ps(&job.from[entry >> 16].x), count, sum);
-    }
+    const __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));
     const __m128 reflected = _mm_mul_ps(sum, _mm_loadu_ps(&job.reflectance[slot].x));
     _mm_storeu_ps(&job.to[slot].x, _mm_add_ps(_mm_loadu_ps(&job.source[slot].x), reflected));
   }

@@ -20,6 +20,7 @@ struct Vec4 {
 };
 
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
+inline constexpr uint32_t kRowPadding = 8;    // entries: what a vector loop takes at once
 inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of column
 
 struct SlotRange {

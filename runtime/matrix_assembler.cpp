@@ -23,7 +23,16 @@ uint64_t entryCapacity(const formats::World& world) {
     entries += level.entries;
   }
   const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots);
-  return (entries / std::max<uint64_t>(nodes, 1) + 1) * in_cut * 3 / 2 + kEntryAlignment * kTilesAtFirst;
+  return (entries / std::max<uint64_t>(nodes, 1) + kRowPadding) * in_cut * 3 / 2 + kEntryAlignment * kTilesAtFirst;
+}
+
+uint64_t padded(uint64_t entries) { return (entries + kRowPadding - 1) / kRowPadding * kRowPadding; }
+
+// Of all rows of a strip, resolved or not.
+uint64_t roomOf(const ResidentStrip& strip) {
+  uint64_t room = 0;
+  for (size_t i = 0; i < strip.nodes.size(); ++i) room += padded(strip.row_start[i + 1] - strip.row_start[i]);
+  return room;
 }
 
 uint32_t ambientOf(FarLight far_light) { return far_light == FarLight::kConstant ? 0 : kNoSlot; }
@@ -190,7 +199,7 @@ void MatrixAssembler::drop(Tile& tile) {
     m.parent_slot[slot] = kNoSlot;
   }
   slots_.release(tile.range.first_slot, tile.range.nodes);
-  entries_.release(tile.first_entry, tile.strip->row_start.back());
+  entries_.release(tile.first_entry, tile.room);
   pages_.setActive(tile.range.id, kNoSlot);
   for (const uint32_t page : tile.partner_pages) pages_.release(page);
   tile.partner_pages.clear();
@@ -209,7 +218,8 @@ bool MatrixAssembler::place(Tile& tile) {
   const ResidentStrip& strip = *tile.strip;
   const auto first_slot = slots_.allocate(tile.range.nodes, 1);
   if (!first_slot) return false;
-  const auto first_entry = entries_.allocate(strip.row_start.back(), kEntryAlignment);
+  tile.room = roomOf(strip);
+  const auto first_entry = entries_.allocate(tile.room, kEntryAlignment);
   if (!first_entry) {
     slots_.release(*first_slot, tile.range.nodes);
     return false;
@@ -226,11 +236,13 @@ bool MatrixAssembler::place(Tile& tile) {
     m.albedo.resize(end);
     m.leaf.resize(end, 0);
   }
-  if (*first_entry + strip.row_start.back() > m.entries.size()) m.entries.resize(*first_entry + strip.row_start.back());
+  if (*first_entry + tile.room > m.entries.size()) m.entries.resize(*first_entry + tile.room);
+  uint64_t row_start = *first_entry;
   for (uint32_t i = 0; i < tile.range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
     const size_t slot = *first_slot + i;
-    m.row_start[slot] = static_cast<uint32_t>(*first_entry + strip.row_start[i]);
+    m.row_start[slot] = static_cast<uint32_t>(row_start);
+    row_start += padded(strip.row_start[i + 1] - strip.row_start[i]);
     m.row_scale[slot] = node.quanta ? 1.0f / static_cast<float>(node.quanta) : 0.0f;
     m.albedo[slot] = {node.albedo.x, node.albedo.y, node.albedo.z, 0};
     m.area_m2[slot] = node.area_m2;
@@ -257,7 +269,7 @@ void MatrixAssembler::renumber() {
   for (Tile& tile : tiles_) {
     tile.entered = true;
     pages_.setActive(tile.range.id, kNoSlot);
-    room += tile.strip->row_start.back() + kEntryAlignment;
+    room += roomOf(*tile.strip) + kEntryAlignment;
   }
   slots_ = RangeAllocator(kMaxSlots);
   entries_ = RangeAllocator(std::max(entryCapacity(world_), 2 * room));
@@ -311,6 +323,13 @@ void MatrixAssembler::resolveRow(Tile& tile, uint32_t row) {
   const uint32_t slot = tile.range.first_slot + row;
   matrix_.row_entries[slot] = resolveRuns(tile, strip.run_start[row], strip.run_start[row + 1], strip.row_start[row],
                                           matrix_.entries.data() + matrix_.row_start[slot]);
+  pad(slot);
+}
+
+void MatrixAssembler::pad(uint32_t slot) {
+  uint32_t* const row = matrix_.entries.data() + matrix_.row_start[slot];
+  const uint32_t entries = matrix_.row_entries[slot];
+  std::fill(row + entries, row + padded(entries), 0u);
 }
 
 // Resolves a row from its first to its last run in a page that changed; the rest of it only moves.
@@ -339,6 +358,7 @@ void MatrixAssembler::updateRow(Tile& tile, uint32_t row) {
   std::copy_n(entries + end_entry, entry - end_entry, scratch_.data() + n);
   std::copy_n(scratch_.data(), n + entry - end_entry, entries + first_entry);
   matrix_.row_entries[slot] = first_entry + n + entry - end_entry;
+  pad(slot);
 }
 
 void MatrixAssembler::resolveRows() {

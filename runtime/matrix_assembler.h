@@ -40,7 +40,7 @@ class MatrixAssembler {
   struct Tile {
     SlotRange range;
     stream::StripPtr strip;
-    uint64_t first_entry = 0;
+    uint64_t first_entry = 0, room = 0;   // in LocalMatrix::entries
     std::vector<uint32_t> partner_pages;  // by index in strip->partners
     std::vector<uint16_t> run_entries;    // by run: entries that it takes in its row
     bool entered = false;
@@ -59,6 +59,7 @@ class MatrixAssembler {
   uint32_t resolveRuns(Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out) const;
   void resolveRow(Tile& tile, uint32_t row);
   void updateRow(Tile& tile, uint32_t row);
+  void pad(uint32_t slot);
   void resolveRows();
   void listLeavesAndRefined();
 

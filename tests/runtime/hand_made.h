@@ -11,11 +11,17 @@ inline void finishByHand(LocalMatrix& m) {
   m.parent_slot.assign(slots, kNoSlot);
   m.leaves.clear();
   m.used_entries = m.entries.size();
+  std::vector<uint32_t> padded;
   for (uint32_t s = 0; s < slots; ++s) {
-    m.row_entries[s] = m.row_start[s + 1] - m.row_start[s];
+    const uint32_t begin = m.row_start[s], end = m.row_start[s + 1];
+    m.row_start[s] = static_cast<uint32_t>(padded.size());
+    m.row_entries[s] = end - begin;
+    padded.insert(padded.end(), m.entries.begin() + begin, m.entries.begin() + end);
+    padded.resize((padded.size() + kRowPadding - 1) / kRowPadding * kRowPadding, 0);
     if (m.leaf[s]) m.leaves.push_back(s);
   }
   m.row_start.pop_back();
+  m.entries = std::move(padded);
   for (const LocalMatrix::Refined& r : m.refined)
     for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) m.parent_slot[c] = r.slot;
 }
