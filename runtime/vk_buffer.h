@@ -131,5 +131,7 @@ Result<Buffer> makeBuffer(VkContext& context, std::span<const T> values, VkBuffe
 // All earlier writes by shaders and copies become visible to later shaders and copies.
 void barrier(VkCommandBuffer commands, VkPipelineStageFlags from, VkAccessFlags wrote, VkPipelineStageFlags to,
              VkAccessFlags reads);
+// The same for compute shaders and copies, either way: what came before may be read and overwritten.
+void separate(VkCommandBuffer commands);
 
 }  // namespace ff::runtime

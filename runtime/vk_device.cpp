@@ -386,7 +386,7 @@ Result<void> VkContext::wait(uint64_t submission) {
   return failed("vkWaitSemaphores", r == VK_TIMEOUT ? VK_ERROR_DEVICE_LOST : r);
 }
 
-Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record) {
+Result<void> VkContext::beginRun() {
   if (lost_) return failed("VkContext::run", VK_ERROR_DEVICE_LOST);
   if (const VkResult r = vkResetCommandPool(device_, pool_, 0); r != VK_SUCCESS)
     return vkError("vkResetCommandPool", r);
@@ -406,7 +406,10 @@ Result<double> VkContext::run(const std::function<void(VkCommandBuffer)>& record
   vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
                        &from_before, 0, nullptr, 0, nullptr);
   timed_ = false;
-  record(commands_);
+  return {};
+}
+
+Result<double> VkContext::finishRun() {
   // A semaphore makes writes available, not visible to the host: that needs this barrier.
   auto to_host = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
   to_host.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;

@@ -4,7 +4,6 @@
 #include <vulkan/vulkan.h>
 
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -56,7 +55,12 @@ class VkContext {
   // Records one command buffer, submits it and waits. Returns the time that the device took, ms (wall time where the
   // queue has no timestamps). Everything written before is visible to `record`'s commands, and what they write is
   // visible to the host and to the next run().
-  Result<double> run(const std::function<void(VkCommandBuffer)>& record);
+  template <class Record>  // void(VkCommandBuffer)
+  Result<double> run(const Record& record) {
+    if (auto r = beginRun(); !r) return r.error();
+    record(commands_);
+    return finishRun();
+  }
 
   // Inside `record`: the commands between the two are timed apart from the rest, timedMs() after the run. At most once.
   void beginTimed(VkCommandBuffer commands);
@@ -77,6 +81,8 @@ class VkContext {
   Result<void> createInstance(const VulkanChoice& choice);
   Result<void> choosePhysicalDevice(const std::string& wanted);
   Result<void> createDevice(const VulkanChoice& choice);
+  Result<void> beginRun();
+  Result<double> finishRun();
   void readProperties();
   Result<void> createOwnObjects();
   Error failed(const char* call, VkResult result);

@@ -41,8 +41,6 @@ constexpr uint32_t kSharedBytes = 18 << 10;  // of bounce_solve.comp
 constexpr VkPipelineStageFlags kCompute = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, kCopy = VK_PIPELINE_STAGE_TRANSFER_BIT;
 static_assert(shaders::kBounceBlock == kMaxBlock);
 
-uint32_t roundUp(uint32_t value, uint32_t multiple) { return (value + multiple - 1) / multiple * multiple; }
-uint32_t groupsOf(uint32_t items, uint32_t a_group) { return (items + a_group - 1) / a_group; }
 Error refusal(std::string message) {
   return Error{ErrorCode::kInvalidFile, "", "", std::move(message), "rebuild the matrix, or use the gather solver"};
 }
@@ -78,13 +76,6 @@ Result<Pipelines> makePipelines(VkContext& context, const MultibounceSettings& s
     *pipeline = std::move(*made);
   }
   return p;
-}
-
-// Everything that earlier commands wrote may be read and written by later ones.
-void separate(VkCommandBuffer commands) {
-  barrier(commands, kCompute | kCopy, VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT, kCompute | kCopy,
-          VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT |
-              VK_ACCESS_TRANSFER_WRITE_BIT);
 }
 
 class VulkanMultibounce final : public BounceMatrix {

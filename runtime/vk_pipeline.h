@@ -12,6 +12,10 @@ namespace ff::runtime {
 
 class VkContext;
 
+// Work groups for so many items; multiples of a tile.
+inline uint32_t groupsOf(uint32_t items, uint32_t a_group) { return (items + a_group - 1) / a_group; }
+inline uint32_t roundUp(uint32_t value, uint32_t multiple) { return groupsOf(value, multiple) * multiple; }
+
 Result<VkShaderModule> makeShaderModule(VkContext& context, std::span<const uint32_t> spirv);
 
 // One descriptor set of `buffers` storage buffers at bindings 0, 1, ...; one push constant block from offset 0.

@@ -1,5 +1,6 @@
 # The Vulkan half of the room. Callers link ff_runtime_vulkan; only those that include vk_device.h need vulkan.h.
-ff_room(ff_runtime_vulkan vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_multibounce.cpp vk_pipeline.cpp)
+ff_room(ff_runtime_vulkan vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_multibounce.cpp vk_pipeline.cpp
+        vk_plain_local.cpp vk_seed.cpp)
 target_link_libraries(ff_runtime_vulkan PUBLIC ff_runtime PRIVATE Vulkan::Vulkan)
 ff_embed_spirv(ff_runtime_vulkan shaders/gather.comp NAME gather_comp)
 ff_embed_spirv(ff_runtime_vulkan shaders/refine.comp NAME refine_comp)
@@ -12,3 +13,10 @@ endforeach()
 ff_embed_spirv(ff_runtime_vulkan shaders/bounce_relight.comp NAME bounce_relight_luminance_comp DEFINES LUMINANCE=1)
 ff_embed_spirv(ff_runtime_vulkan shaders/bounce_relight.comp NAME bounce_relight_luminance_half_comp
                DEFINES HALF=1 LUMINANCE=1)
+foreach(step double triple column row outer write delete relight)
+  ff_embed_spirv(ff_runtime_vulkan shaders/seed_${step}.comp NAME seed_${step}_comp)
+endforeach()
+foreach(step scatter delete)
+  ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_comp)
+  ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_half_comp DEFINES HALF=1)
+endforeach()

@@ -1,9 +1,10 @@
 // What the bounce_*.comp shaders share: their buffers and the matrix's storage. HALF: two fp16 a word, else fp32.
-// SCALAR: the matrix is read element by element, else four columns at a time.
+// SCALAR: the matrix is read element by element; WORDS: as the shader likes; else four columns at a time.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared.h"
+#include "half.glsl"
 
 layout(push_constant) uniform Push { BouncePush push; };
 
@@ -12,7 +13,9 @@ layout(push_constant) uniform Push { BouncePush push; };
 #else
 #define Four uvec4
 #endif
-#ifdef SCALAR
+#if defined(WORDS)
+layout(std430, binding = 0) buffer Plane { uint words[]; };
+#elif defined(SCALAR)
 layout(std430, binding = 0) readonly buffer Plane { uint plane[]; };
 #else
 layout(std430, binding = 0) buffer Plane { Four plane[]; };
@@ -40,7 +43,7 @@ uint vectorsOf(uint channel) { return channel * (4u * push.stride + kBounceBlock
 uint irradianceAt() { return 3u * push.stride; }
 uint weightsAt() { return 4u * push.stride; }
 
-#ifdef SCALAR
+#if defined(SCALAR)
 float matrixAt(uint row, uint column) {
   const uint at = row * push.stride + column;
 #ifdef HALF
@@ -52,16 +55,6 @@ float matrixAt(uint row, uint column) {
 }
 #else
 #ifdef HALF
-// To the nearest, ties to even, on every device: packHalf2x16 leaves the rounding to the driver, and truncation drifts.
-uint halfBits(float value) {
-  const uint bits = floatBitsToUint(value), magnitude = bits & 0x7fffffffu, sign = (bits >> 16) & 0x8000u;
-  if (magnitude >= 0x477ff000u) return sign | (magnitude > 0x7f800000u ? 0x7e00u : 0x7c00u);
-  if (magnitude < 0x38800000u) {  // subnormal: adding 0.5 leaves the rounded multiple of 2^-24 in the low bits
-    precise const float shifted = uintBitsToFloat(magnitude) + 0.5;
-    return sign | (floatBitsToUint(shifted) - 0x3f000000u);
-  }
-  return sign | ((magnitude - 0x38000000u + 0xfffu + ((magnitude >> 13) & 1u)) >> 13);
-}
 vec4 unpackFour(uvec2 v) { return vec4(unpackHalf2x16(v.x), unpackHalf2x16(v.y)) * (1.0 / kHalfMatrixScale); }
 uvec2 packFour(vec4 v) {
   v *= kHalfMatrixScale;

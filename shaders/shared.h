@@ -77,6 +77,28 @@ struct BouncePush {
   uint count;       // entries, places: see the shader
 };
 
+// --- seed_*.comp: the seed paper's eight shaders; runtime/cpu_seed.h has the equations ---
+FF_CONST uint kSeedGroup = 128u;
+FF_CONST uint kSeedColumns = 16u;  // of seed_row.comp's work group, side by side: 128 bytes of a row
+FF_CONST uint kSeedRows = 8u;      // of seed_outer.comp's work group
+// Vectors of `stride` vec4, by number.
+FF_CONST uint kSeedDoubleColumn = 0u;  // g_col
+FF_CONST uint kSeedDoubleRow = 1u;     // g_row
+FF_CONST uint kSeedColumn = 2u;        // the new patch's column and row of the matrix
+FF_CONST uint kSeedRow = 3u;
+FF_CONST uint kSeedColour = 4u;
+FF_CONST uint kSeedLight = 5u;
+FF_CONST uint kSeedIrradiance = 6u;
+FF_CONST uint kSeedDouble = 7u;  // one vec4: double_reflection
+
+struct SeedPush {
+  uint stride;  // elements of a row of the matrix
+  uint used;    // places in use lie below it
+  uint place;   // of the patch that enters or leaves
+  uint forms;   // float at which the patch's f_row begins; f_col follows after `stride`
+  float red, green, blue;  // its colour
+};
+
 // --- pictures: interpolate.comp, sun.vert/.frag, count.comp, surface.vert/.frag, sky.vert/.frag ---
 FF_CONST uint kInterpolateGroup = 64u;
 FF_CONST uint kCountGroup = 64u;

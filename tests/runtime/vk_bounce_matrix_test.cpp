@@ -12,6 +12,7 @@
 #include "runtime/cpu_multibounce.h"
 #include "runtime/vk_context.h"
 #include "runtime/vk_multibounce.h"
+#include "runtime/vk_seed.h"
 #include "tests/runtime/walks.h"
 
 namespace ff::runtime {
@@ -345,6 +346,77 @@ TEST_F(VkBounceMatrix, GivesTheSameBitsEveryTime) {
         ASSERT_TRUE(e[i].x == first[i].x && e[i].y == first[i].y && e[i].z == first[i].z) << "place " << i;
     }
   }
+}
+
+// Both round the same numbers to fp16 at the same steps, of sums that differ in the order of their terms: now and then
+// one of two neighbours of fp16, 2^-11 apart, is taken. So they agree far better than either agrees with the truth.
+TEST_F(VkBounceMatrix, TheSeedAgreesWithTheCpuStepByStep) {
+  const PatchSet set = makeScene({.patches = 160, .entries_per_row = 40});
+  for (const uint32_t places : {1u, 17u, 90u, 129u}) {
+    SCOPED_TRACE(places);
+    auto vulkan = makeVulkanSeed(context_, {.places = places});
+    auto cpu = makeCpuSeed({.places = places, .threads = 1});
+    ASSERT_TRUE(vulkan && cpu);
+    Placement at(set, places), cpu_at(set, places);
+    Walk walk(WalkKind::kRandom, 160, places, std::min(places, 7u), 5);
+    const auto present = walk.present();
+    enterAll(**vulkan, at, present);
+    enterAll(**cpu, cpu_at, present);
+    for (int i = 0; i < 6; ++i) {
+      const auto step = walk.next();
+      ASSERT_TRUE((*vulkan)->remove(at.leave(step.leaving)) && (*cpu)->remove(cpu_at.leave(step.leaving)));
+      ASSERT_TRUE((*vulkan)->insert(at.enter(step.entering)) && (*cpu)->insert(cpu_at.enter(step.entering)));
+      const auto source = randomLight(places, static_cast<uint64_t>(i));
+      std::vector<Vec4> a(places), b(places);
+      ASSERT_TRUE((*vulkan)->relight(source, a) && (*cpu)->relight(source, b));
+      EXPECT_LE(relativeError(a, asDouble(b)), 5e-5) << "step " << i;
+      const std::vector<uint32_t> some = numbers(0, (places + 1) / 2);
+      const std::vector<Vec4> difference(some.size(), Vec4{1, 2, 3, 0});
+      ASSERT_TRUE((*vulkan)->relightChanged(some, difference, a) && (*cpu)->relightChanged(some, difference, b));
+      EXPECT_LE(relativeError(a, asDouble(b)), 5e-5) << "step " << i;
+    }
+    EXPECT_EQ((*vulkan)->stats().entered, (*cpu)->stats().entered);
+    EXPECT_GT((*vulkan)->stats().last_update_ms, 0);
+    ASSERT_TRUE((*vulkan)->clear());
+    std::vector<Vec4> dark(places, Vec4{1, 1, 1, 0});
+    ASSERT_TRUE((*vulkan)->relight(randomLight(places, 1), dark));
+    for (const Vec4& e : dark) EXPECT_EQ(e.x + e.y + e.z, 0);
+  }
+}
+
+TEST_F(VkBounceMatrix, PlainLocalRadiosityAgreesWithTheCpu) {
+  const PatchSet set = makeScene({.patches = 160, .entries_per_row = 40});
+  for (const Storage storage : {Storage::kFloat32, Storage::kFloat16})
+    for (const int bounces : {1, 2, 3, 8}) {
+      const MultibounceSettings settings{.places = 101, .storage = storage, .threads = 1};
+      auto vulkan = makeVulkanPlainLocal(context_, settings, bounces);
+      auto cpu = makeCpuPlainLocal(settings, bounces);
+      ASSERT_TRUE(vulkan && cpu);
+      Placement at(set, 101), cpu_at(set, 101);
+      Walk walk(WalkKind::kRandom, 160, 101, 9, 5);
+      const auto present = walk.present();
+      enterAll(**vulkan, at, present);
+      enterAll(**cpu, cpu_at, present);
+      for (int i = 0; i < 3; ++i) {
+        const auto step = walk.next();
+        ASSERT_TRUE((*vulkan)->remove(at.leave(step.leaving)) && (*cpu)->remove(cpu_at.leave(step.leaving)));
+        ASSERT_TRUE((*vulkan)->insert(at.enter(step.entering)) && (*cpu)->insert(cpu_at.enter(step.entering)));
+        const auto source = randomLight(101, static_cast<uint64_t>(i));
+        std::vector<Vec4> a(101), b(101);
+        ASSERT_TRUE((*vulkan)->relight(source, a) && (*cpu)->relight(source, b));
+        // The same stored numbers; sums of at most 101 positive terms, bounce by bounce.
+        EXPECT_LE(relativeError(a, asDouble(b)), 2e-6) << bounces << " bounces, step " << i;
+      }
+    }
+}
+
+TEST_F(VkBounceMatrix, TheSeedAtItsLargestIsWhatEveryDeviceCanBind) {
+  auto largest = makeVulkanSeed(context_, {.places = 4096});
+  ASSERT_TRUE(largest) << largest.error().line();
+  EXPECT_EQ((*largest)->bytes(), uint64_t{128} << 20);
+  const auto larger = makeVulkanSeed(context_, {.places = 60000});
+  ASSERT_FALSE(larger);
+  EXPECT_EQ(larger.error().code, ErrorCode::kUsage);
 }
 
 }  // namespace

@@ -1,0 +1,298 @@
+// Plain local radiosity on Vulkan: the buffers of bounce.glsl with one plane that holds F itself. Its products are those of
+// the luminance matrix with a mean albedo of zero: what is multiplied next is M + C E.
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bounce_relight_luminance_comp.h"
+#include "bounce_relight_luminance_half_comp.h"
+#include "plain_delete_comp.h"
+#include "plain_delete_half_comp.h"
+#include "plain_scatter_comp.h"
+#include "plain_scatter_half_comp.h"
+#include "runtime/vk_buffer.h"
+#include "runtime/vk_device.h"
+#include "runtime/vk_pipeline.h"
+#include "runtime/vk_seed.h"
+#include "shaders/shared.h"
+
+namespace ff::runtime {
+namespace {
+
+constexpr uint32_t kBuffers = 6;  // bindings of bounce.glsl
+
+
+class VulkanPlainLocal final : public BounceMatrix {
+ public:
+  VulkanPlainLocal(std::shared_ptr<VkContext> context, const MultibounceSettings& settings, int bounces)
+      : context_(std::move(context)),
+        places_(settings.places),
+        stride_(roundUp(settings.places, shaders::kBounceTile)),
+        half_(settings.storage == Storage::kFloat16),
+        bounces_(bounces),
+        present_(settings.places, 0),
+        name_("plain local vulkan, " + std::to_string(bounces) + " products, " + (half_ ? "fp16: " : "fp32: ") +
+              context_->deviceName()) {}
+  Result<void> start();
+
+  uint32_t capacity() const override { return places_; }
+  uint64_t bytes() const override { return uint64_t{stride_} * stride_ * (half_ ? 2 : 4); }
+  BounceStats stats() const override { return stats_; }
+  const char* name() const override { return name_.c_str(); }
+  Result<void> insert(const EnteringBlock& block) override;
+  Result<void> remove(std::span<const uint32_t> places) override;
+  Result<void> clear() override;
+  Result<uint32_t> advance(uint32_t) override { return 0u; }
+  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override;
+  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                              std::span<Vec4> irradiance) override;
+
+ private:
+  uint64_t vectorAt(uint32_t channel, uint32_t at) const {  // bytes
+    return (uint64_t{channel} * (4 * stride_ + kMaxBlock) + at) * sizeof(float);
+  }
+  shaders::BouncePush push() const {
+    shaders::BouncePush p{};
+    p.stride = stride_;
+    p.used = used_;
+    p.channel = p.bound = shaders::kBounceMean;
+    return p;
+  }
+  Result<void> recordBlock(const ComputePipeline& pipeline, const shaders::BouncePush& push, uint32_t groups, uint64_t words);
+  Result<void> multiply();
+  void putLight(uint32_t place, const Vec4& light);
+  void addIrradiance(std::span<Vec4> irradiance) const;
+
+  std::shared_ptr<VkContext> context_;  // first: outlives everything below
+  uint32_t places_, stride_;
+  bool half_;
+  int bounces_;
+  std::vector<uint8_t> present_;
+  std::string name_;
+  ComputePipeline scatter_, delete_, relight_;
+  Buffer matrix_, unused_, block_, albedo_, vectors_, up_, down_;
+  StorageSets sets_;
+  VkDescriptorSet set_ = VK_NULL_HANDLE;
+  uint32_t used_ = 0;  // multiple of the tile
+  BounceStats stats_;
+};
+
+Result<void> VulkanPlainLocal::start() {
+  using Words = std::span<const uint32_t>;
+  const std::pair<ComputePipeline*, Words> pipelines[] = {
+      {&scatter_, half_ ? Words(plain_scatter_half_comp) : Words(plain_scatter_comp)},
+      {&delete_, half_ ? Words(plain_delete_half_comp) : Words(plain_delete_comp)},
+      {&relight_, half_ ? Words(bounce_relight_luminance_half_comp) : Words(bounce_relight_luminance_comp)}};
+  for (const auto& [pipeline, words] : pipelines) {
+    auto made = ComputePipeline::create(*context_, words, kBuffers, sizeof(shaders::BouncePush));
+    if (!made) return made.error();
+    *pipeline = std::move(*made);
+  }
+  const uint64_t block_bytes = (shaders::kBlockIndex + stride_ + uint64_t{4} * kMaxBlock * stride_) * sizeof(uint32_t);
+  const uint64_t vector_bytes = uint64_t{3} * stride_ * sizeof(float);
+  struct Wanted {
+    Buffer* buffer;
+    uint64_t bytes;
+    MemoryUse use;
+  };
+  const Wanted buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
+                            {&unused_, 16, MemoryUse::kDevice},
+                            {&block_, block_bytes, MemoryUse::kDevice},
+                            {&albedo_, uint64_t{4} * stride_ * sizeof(float), MemoryUse::kDevice},
+                            {&vectors_, vectorAt(3, 0), MemoryUse::kDevice},
+                            {&up_, std::max(block_bytes, vector_bytes), MemoryUse::kHost},
+                            {&down_, vector_bytes, MemoryUse::kHost}};
+  for (const Wanted& w : buffers) {
+    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
+    if (!b) return b.error();
+    *w.buffer = std::move(*b);
+  }
+  auto sets = StorageSets::create(*context_, 1, kBuffers);
+  if (!sets) return sets.error();
+  sets_ = std::move(*sets);
+  VkDescriptorBufferInfo bound[kBuffers];
+  const Buffer* const list[kBuffers] = {&matrix_, &unused_, &block_, &albedo_, &vectors_, &unused_};
+  for (uint32_t b = 0; b < kBuffers; ++b) bound[b] = {list[b]->handle(), 0, VK_WHOLE_SIZE};
+  auto set = sets_.make(scatter_.setLayout(), bound);
+  if (!set) return set.error();
+  set_ = *set;
+  return clear();
+}
+
+Result<void> VulkanPlainLocal::clear() {
+  auto r = context_->run([&](VkCommandBuffer c) {
+    for (const Buffer* b : {&matrix_, &albedo_, &vectors_}) vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
+  });
+  if (!r) return r.error();
+  std::fill(present_.begin(), present_.end(), uint8_t{0});
+  used_ = 0;
+  return {};
+}
+
+Result<void> VulkanPlainLocal::recordBlock(const ComputePipeline& pipeline, const shaders::BouncePush& push, uint32_t groups,
+                                           uint64_t words) {
+  auto ms = context_->run([&](VkCommandBuffer c) {
+    const VkBufferCopy copy{0, 0, words * sizeof(uint32_t)};
+    vkCmdCopyBuffer(c, up_.handle(), block_.handle(), 1, &copy);
+    separate(c);
+    context_->beginTimed(c);
+    pipeline.dispatch(c, set_, &push, groups);
+    context_->endTimed(c);
+  });
+  if (!ms) return ms.error();
+  stats_.last_update_ms = context_->timedMs();
+  return {};
+}
+
+Result<void> VulkanPlainLocal::insert(const EnteringBlock& block) {
+  for (const std::span<const float> values : {block.row_values, block.column_values})
+    for (const float value : values)
+      if (!std::isfinite(value) || value < 0)
+        return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+  const auto k = static_cast<uint32_t>(block.places.size());
+  FF_CHECK_LE(k, kMaxBlock);
+  FF_CHECK_LE(block.columns.size(), size_t{k} * places_);
+  FF_CHECK_LE(block.receivers.size(), size_t{k} * places_);
+  auto* words = reinterpret_cast<uint32_t*>(up_.mapped());
+  for (uint32_t i = 0; i < k; ++i) {
+    FF_CHECK_LT(block.places[i], places_);
+    FF_CHECK_EQ(int{present_[block.places[i]]}, 0);
+    present_[block.places[i]] = 1;
+    used_ = std::max(used_, roundUp(block.places[i] + 1, shaders::kBounceTile));
+    words[shaders::kBlockPlaces + i] = block.places[i];
+    const float channels[3] = {block.albedo[i].x, block.albedo[i].y, block.albedo[i].z};
+    for (uint32_t c = 0; c < 3; ++c)
+      words[shaders::kBlockAlbedo + c * kMaxBlock + i] = std::bit_cast<uint32_t>(channels[c]);
+  }
+  std::copy(block.row_start.begin(), block.row_start.end(), words + shaders::kBlockRowStart);
+  std::copy(block.column_start.begin(), block.column_start.end(), words + shaders::kBlockColumnStart);
+  uint32_t at = shaders::kBlockIndex + stride_;
+  for (size_t e = 0; e < block.columns.size(); ++e, at += 2) {
+    words[at] = block.columns[e];
+    words[at + 1] = std::bit_cast<uint32_t>(block.row_values[e]);
+  }
+  shaders::BouncePush p = push();
+  p.k = k;
+  p.columns_at = at;
+  p.count = static_cast<uint32_t>(block.columns.size());
+  for (size_t e = 0; e < block.receivers.size(); ++e, at += 2) {
+    words[at] = block.receivers[e];
+    words[at + 1] = std::bit_cast<uint32_t>(block.column_values[e]);
+  }
+  const uint32_t entries = p.count + static_cast<uint32_t>(block.receivers.size());
+  if (auto r = recordBlock(scatter_, p, groupsOf(std::max(k, entries), shaders::kBounceGroup), at); !r) return r;
+  stats_.entered += k;
+  return {};
+}
+
+Result<void> VulkanPlainLocal::remove(std::span<const uint32_t> places) {
+  for (size_t first = 0; first < places.size(); first += kMaxBlock) {
+    const auto some = places.subspan(first, std::min<size_t>(kMaxBlock, places.size() - first));
+    std::memcpy(up_.mapped(), some.data(), some.size_bytes());
+    shaders::BouncePush p = push();
+    p.k = static_cast<uint32_t>(some.size());
+    if (auto r = recordBlock(delete_, p, groupsOf(p.k * used_, shaders::kBounceGroup), some.size()); !r) return r;
+    for (const uint32_t place : some) {
+      FF_CHECK_EQ(int{present_[place]}, 1);
+      present_[place] = 0;
+    }
+    stats_.left += some.size();
+  }
+  return {};
+}
+
+// From the light in up_, [channel][place], to irradiance in down_.
+Result<void> VulkanPlainLocal::multiply() {
+  auto ms = context_->run([&](VkCommandBuffer c) {
+    const uint64_t channel_bytes = uint64_t{stride_} * sizeof(float);
+    VkBufferCopy up[6], down[3];
+    for (uint32_t channel = 0; channel < 3; ++channel) {
+      up[channel] = {channel * channel_bytes, vectorAt(channel, 0), channel_bytes};
+      up[3 + channel] = {channel * channel_bytes, vectorAt(channel, stride_), channel_bytes};
+      down[channel] = {vectorAt(channel, 3 * stride_), channel * channel_bytes, channel_bytes};
+    }
+    vkCmdCopyBuffer(c, up_.handle(), vectors_.handle(), 6, up);
+    separate(c);
+    context_->beginTimed(c);
+    const uint32_t subgroups = shaders::kBounceGroup / std::max(1u, context_->subgroupSize());
+    for (int i = 0; i < bounces_; ++i) {
+      shaders::BouncePush p = push();
+      p.x_at = (1 + static_cast<uint32_t>(i) % 2) * stride_;  // the light itself stays at 0
+      p.next_at = i + 1 < bounces_ ? (1 + static_cast<uint32_t>(i + 1) % 2) * stride_ : 0;
+      relight_.dispatch(c, set_, &p, groupsOf(used_, subgroups * shaders::kBounceRows));
+      separate(c);
+    }
+    context_->endTimed(c);
+    vkCmdCopyBuffer(c, vectors_.handle(), down_.handle(), 3, down);
+  });
+  if (!ms) return ms.error();
+  stats_.last_relight_ms = context_->timedMs();
+  return {};
+}
+
+void VulkanPlainLocal::putLight(uint32_t place, const Vec4& light) {
+  auto* channels = reinterpret_cast<float*>(up_.mapped());
+  channels[place] = light.x;
+  channels[stride_ + place] = light.y;
+  channels[2 * stride_ + place] = light.z;
+}
+
+void VulkanPlainLocal::addIrradiance(std::span<Vec4> irradiance) const {
+  const auto* e = reinterpret_cast<const float*>(down_.mapped());
+  for (uint32_t i = 0; i < places_; ++i) {
+    if (!present_[i]) continue;
+    irradiance[i].x += e[i];
+    irradiance[i].y += e[stride_ + i];
+    irradiance[i].z += e[2 * stride_ + i];
+  }
+}
+
+Result<void> VulkanPlainLocal::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
+  FF_CHECK_EQ(source.size(), size_t{places_});
+  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  std::fill(irradiance.begin(), irradiance.end(), Vec4{});
+  if (used_ == 0) return {};
+  std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
+  for (uint32_t i = 0; i < places_; ++i)
+    if (present_[i]) putLight(i, source[i]);
+  if (auto r = multiply(); !r) return r;
+  addIrradiance(irradiance);
+  return {};
+}
+
+Result<void> VulkanPlainLocal::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                                              std::span<Vec4> irradiance) {
+  FF_CHECK_EQ(places.size(), difference.size());
+  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  if (used_ == 0) return {};
+  std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
+  for (size_t i = 0; i < places.size(); ++i)
+    if (present_[places[i]]) putLight(places[i], difference[i]);
+  if (auto r = multiply(); !r) return r;
+  addIrradiance(irradiance);
+  return {};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<BounceMatrix>> makeVulkanPlainLocal(std::shared_ptr<VkContext> context,
+                                                           const MultibounceSettings& settings, int bounces) {
+  FF_CHECK_LT(0, bounces);
+  const uint64_t stride = roundUp(settings.places, shaders::kBounceTile);
+  const uint64_t bytes = stride * stride * (settings.storage == Storage::kFloat16 ? 2 : 4);
+  const uint64_t most = context->limits().maxStorageBufferRange;
+  if (settings.places == 0 || bytes > most)
+    return Error{ErrorCode::kUsage, "", "plain local vulkan",
+                 std::to_string(settings.places) + " places: the matrix takes " + std::to_string(bytes >> 20) +
+                     " MiB, the device binds at most " + std::to_string(most >> 20) + " MiB",
+                 "use fewer places, or fp16 storage"};
+  auto plain = std::make_unique<VulkanPlainLocal>(std::move(context), settings, bounces);
+  if (auto r = plain->start(); !r) return r.error();
+  return std::unique_ptr<BounceMatrix>(std::move(plain));
+}
+
+}  // namespace ff::runtime

@@ -1,0 +1,273 @@
+#include "runtime/vk_seed.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "runtime/vk_buffer.h"
+#include "runtime/vk_device.h"
+#include "runtime/vk_pipeline.h"
+#include "seed_column_comp.h"
+#include "seed_delete_comp.h"
+#include "seed_double_comp.h"
+#include "seed_outer_comp.h"
+#include "seed_relight_comp.h"
+#include "seed_row_comp.h"
+#include "seed_triple_comp.h"
+#include "seed_write_comp.h"
+#include "shaders/shared.h"
+
+namespace ff::runtime {
+namespace {
+
+constexpr uint32_t kBuffers = 3;  // bindings of seed.glsl
+constexpr uint64_t kElementBytes = 8;
+
+class VulkanSeed final : public BounceMatrix {
+ public:
+  VulkanSeed(std::shared_ptr<VkContext> context, uint32_t places)
+      : context_(std::move(context)), places_(places), present_(places, 0) {}
+  Result<void> start();
+
+  uint32_t capacity() const override { return places_; }
+  uint64_t bytes() const override { return uint64_t{places_} * places_ * kElementBytes; }
+  BounceStats stats() const override { return stats_; }
+  const char* name() const override { return name_.c_str(); }
+  Result<void> insert(const EnteringBlock& block) override;
+  Result<void> remove(std::span<const uint32_t> places) override;
+  Result<void> clear() override;
+  Result<uint32_t> advance(uint32_t) override { return 0u; }
+  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override;
+  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                              std::span<Vec4> irradiance) override;
+
+ private:
+  uint64_t vectorBytes(uint32_t number) const { return uint64_t{number} * places_ * sizeof(Vec4); }
+  void formsOf(const EnteringBlock& block, uint32_t r, float* row, float* column);
+  void recordPatch(VkCommandBuffer c, const shaders::SeedPush& push) const;
+  Result<void> multiply();
+
+  std::shared_ptr<VkContext> context_;  // first: outlives everything below
+  uint32_t places_;
+  std::string name_ = "seed vulkan: " + context_->deviceName();
+  ComputePipeline double_, triple_, column_, row_, outer_, write_, delete_, relight_;
+  Buffer matrix_, vectors_, forms_, up_, down_;
+  StorageSets sets_;
+  VkDescriptorSet set_ = VK_NULL_HANDLE;
+  uint32_t used_ = 0;
+  std::vector<uint8_t> present_;
+  BounceStats stats_;
+};
+
+Result<void> VulkanSeed::start() {
+  const std::pair<ComputePipeline*, std::span<const uint32_t>> pipelines[] = {
+      {&double_, seed_double_comp}, {&triple_, seed_triple_comp}, {&column_, seed_column_comp},
+      {&row_, seed_row_comp},       {&outer_, seed_outer_comp},   {&write_, seed_write_comp},
+      {&delete_, seed_delete_comp}, {&relight_, seed_relight_comp}};
+  for (const auto& [pipeline, words] : pipelines) {
+    auto made = ComputePipeline::create(*context_, words, kBuffers, sizeof(shaders::SeedPush));
+    if (!made) return made.error();
+    *pipeline = std::move(*made);
+  }
+  const uint64_t forms_bytes = uint64_t{2} * kMaxBlock * places_ * sizeof(float);
+  struct Wanted {
+    Buffer* buffer;
+    uint64_t bytes;
+    MemoryUse use;
+  };
+  const Wanted buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
+                            {&vectors_, vectorBytes(shaders::kSeedDouble) + sizeof(Vec4), MemoryUse::kDevice},
+                            {&forms_, forms_bytes, MemoryUse::kDevice},
+                            {&up_, std::max(forms_bytes, vectorBytes(1)), MemoryUse::kHost},
+                            {&down_, vectorBytes(1), MemoryUse::kHost}};
+  for (const Wanted& w : buffers) {
+    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
+    if (!b) return b.error();
+    *w.buffer = std::move(*b);
+  }
+  auto sets = StorageSets::create(*context_, 1, kBuffers);
+  if (!sets) return sets.error();
+  sets_ = std::move(*sets);
+  const VkDescriptorBufferInfo bound[kBuffers] = {{matrix_.handle(), 0, VK_WHOLE_SIZE},
+                                                  {vectors_.handle(), 0, VK_WHOLE_SIZE},
+                                                  {forms_.handle(), 0, VK_WHOLE_SIZE}};
+  auto set = sets_.make(double_.setLayout(), bound);
+  if (!set) return set.error();
+  set_ = *set;
+  return clear();
+}
+
+Result<void> VulkanSeed::clear() {
+  auto r = context_->run([&](VkCommandBuffer c) {
+    vkCmdFillBuffer(c, matrix_.handle(), 0, VK_WHOLE_SIZE, 0);
+    vkCmdFillBuffer(c, vectors_.handle(), 0, VK_WHOLE_SIZE, 0);
+  });
+  if (!r) return r.error();
+  std::fill(present_.begin(), present_.end(), uint8_t{0});
+  used_ = 0;
+  return {};
+}
+
+// f_row and f_col of the block's patch r, densely; of its own block it sees those that entered before it.
+void VulkanSeed::formsOf(const EnteringBlock& block, uint32_t r, float* row, float* column) {
+  std::fill_n(row, places_, 0.0f);
+  std::fill_n(column, places_, 0.0f);
+  for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e)
+    if (present_[block.columns[e]]) row[block.columns[e]] = block.row_values[e];
+  for (uint32_t e = block.column_start[r]; e < block.column_start[r + 1]; ++e)
+    column[block.receivers[e]] = block.column_values[e];
+  for (uint32_t i = 0; i < r; ++i)
+    for (uint32_t e = block.row_start[i]; e < block.row_start[i + 1]; ++e)
+      if (block.columns[e] == block.places[r]) column[block.places[i]] = block.row_values[e];
+}
+
+// The six update shaders. The third and the fourth need nothing of each other.
+void VulkanSeed::recordPatch(VkCommandBuffer c, const shaders::SeedPush& push) const {
+  const uint32_t rows_a_group = std::max(1u, shaders::kSeedGroup / std::max(1u, context_->subgroupSize()));
+  const uint32_t across = groupsOf(push.used, shaders::kSeedGroup);
+  double_.dispatch(c, set_, &push, 1);
+  separate(c);
+  triple_.dispatch(c, set_, &push, across);
+  separate(c);
+  column_.dispatch(c, set_, &push, groupsOf(push.used, rows_a_group));
+  row_.dispatch(c, set_, &push, groupsOf(push.used, shaders::kSeedColumns));
+  separate(c);
+  outer_.dispatch(c, set_, &push, across * groupsOf(push.used, shaders::kSeedRows));
+  separate(c);
+  write_.dispatch(c, set_, &push, across);
+  separate(c);
+}
+
+Result<void> VulkanSeed::insert(const EnteringBlock& block) {
+  for (const std::span<const float> values : {block.row_values, block.column_values})
+    for (const float value : values)
+      if (!std::isfinite(value) || value < 0)
+        return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+  const auto k = static_cast<uint32_t>(block.places.size());
+  FF_CHECK_LE(k, kMaxBlock);
+  auto* forms = reinterpret_cast<float*>(up_.mapped());
+  std::array<shaders::SeedPush, kMaxBlock> patches;
+  uint32_t used = used_;
+  for (uint32_t r = 0; r < k; ++r) {
+    const uint32_t place = block.places[r];
+    FF_CHECK_LT(place, places_);
+    FF_CHECK_EQ(int{present_[place]}, 0);
+    used = std::max(used, place + 1);
+    const uint32_t first = 2 * r * places_;
+    formsOf(block, r, forms + first, forms + first + places_);
+    patches[r] = {places_, used, place, first, block.albedo[r].x, block.albedo[r].y, block.albedo[r].z};
+    present_[place] = 1;
+  }
+  auto ms = context_->run([&](VkCommandBuffer c) {
+    const VkBufferCopy copy{0, 0, uint64_t{2} * k * places_ * sizeof(float)};
+    vkCmdCopyBuffer(c, up_.handle(), forms_.handle(), 1, &copy);
+    separate(c);
+    context_->beginTimed(c);
+    for (uint32_t r = 0; r < k; ++r) recordPatch(c, patches[r]);
+    context_->endTimed(c);
+  });
+  if (!ms) return ms.error();
+  used_ = used;
+  stats_.entered += k;
+  stats_.last_update_ms = context_->timedMs();
+  return {};
+}
+
+Result<void> VulkanSeed::remove(std::span<const uint32_t> places) {
+  constexpr size_t kPatchesPerSubmit = 1024;
+  double ms = 0;
+  for (size_t first = 0; first < places.size(); first += kPatchesPerSubmit) {
+    const auto some = places.subspan(first, std::min(kPatchesPerSubmit, places.size() - first));
+    auto took = context_->run([&](VkCommandBuffer c) {
+      for (const uint32_t place : some) {  // each writes elements that others write, too: the same zeros
+        const shaders::SeedPush push{places_, used_, place, 0, 0, 0, 0};
+        delete_.dispatch(c, set_, &push, groupsOf(used_, shaders::kSeedGroup));
+      }
+    });
+    if (!took) return took.error();
+    ms += *took;
+  }
+  for (const uint32_t place : places) {
+    FF_CHECK_EQ(int{present_[place]}, 1);
+    present_[place] = 0;
+  }
+  while (used_ > 0 && !present_[used_ - 1]) --used_;
+  stats_.left += places.size();
+  stats_.last_update_ms = ms;
+  return {};
+}
+
+// From the light in up_ to irradiance in down_.
+Result<void> VulkanSeed::multiply() {
+  const shaders::SeedPush push{places_, used_, 0, 0, 0, 0, 0};
+  const uint32_t rows_a_group = std::max(1u, shaders::kSeedGroup / std::max(1u, context_->subgroupSize()));
+  const uint64_t bytes = used_ * sizeof(Vec4);
+  auto ms = context_->run([&](VkCommandBuffer c) {
+    const VkBufferCopy up{0, vectorBytes(shaders::kSeedLight), bytes}, down{vectorBytes(shaders::kSeedIrradiance), 0, bytes};
+    vkCmdCopyBuffer(c, up_.handle(), vectors_.handle(), 1, &up);
+    separate(c);
+    context_->beginTimed(c);
+    relight_.dispatch(c, set_, &push, groupsOf(used_, rows_a_group));
+    context_->endTimed(c);
+    separate(c);
+    vkCmdCopyBuffer(c, vectors_.handle(), down_.handle(), 1, &down);
+  });
+  if (!ms) return ms.error();
+  stats_.last_relight_ms = context_->timedMs();
+  return {};
+}
+
+Result<void> VulkanSeed::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
+  FF_CHECK_EQ(source.size(), size_t{places_});
+  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  std::fill(irradiance.begin(), irradiance.end(), Vec4{});
+  if (used_ == 0) return {};
+  auto* light = reinterpret_cast<Vec4*>(up_.mapped());
+  for (uint32_t j = 0; j < used_; ++j) light[j] = present_[j] ? source[j] : Vec4{};
+  if (auto r = multiply(); !r) return r;
+  std::memcpy(irradiance.data(), down_.mapped(), used_ * sizeof(Vec4));
+  return {};
+}
+
+// The paper multiplies all columns whatever changed.
+Result<void> VulkanSeed::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                                        std::span<Vec4> irradiance) {
+  FF_CHECK_EQ(places.size(), difference.size());
+  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  if (used_ == 0) return {};
+  auto* light = reinterpret_cast<Vec4*>(up_.mapped());
+  std::fill_n(light, used_, Vec4{});
+  for (size_t i = 0; i < places.size(); ++i)
+    if (present_[places[i]]) light[places[i]] = difference[i];
+  if (auto r = multiply(); !r) return r;
+  const auto* e = reinterpret_cast<const Vec4*>(down_.mapped());
+  for (uint32_t i = 0; i < used_; ++i) {
+    irradiance[i].x += e[i].x;
+    irradiance[i].y += e[i].y;
+    irradiance[i].z += e[i].z;
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<BounceMatrix>> makeVulkanSeed(std::shared_ptr<VkContext> context,
+                                                     const MultibounceSettings& settings) {
+  const uint64_t bytes = uint64_t{settings.places} * settings.places * kElementBytes;
+  const uint64_t most = context->limits().maxStorageBufferRange;
+  if (settings.places == 0 || bytes > most)
+    return Error{ErrorCode::kUsage, "", "seed vulkan",
+                 std::to_string(settings.places) + " places: the matrix takes " + std::to_string(bytes >> 20) +
+                     " MiB, the device binds at most " + std::to_string(most >> 20) + " MiB",
+                 "use 1 to " + std::to_string(static_cast<uint32_t>(std::sqrt(static_cast<double>(most / kElementBytes)))) +
+                     " places"};
+  auto seed = std::make_unique<VulkanSeed>(std::move(context), settings.places);
+  if (auto r = seed->start(); !r) return r.error();
+  return std::unique_ptr<BounceMatrix>(std::move(seed));
+}
+
+}  // namespace ff::runtime
