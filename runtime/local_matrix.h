@@ -39,8 +39,9 @@ struct LocalMatrix {
   std::vector<SlotRange>
       tiles;  // sorted by (level, tile); their slots are consecutive within a tile, in any order of tiles
   // Per slot; free slots are neither leaf nor refined and have empty rows.
-  // A row is entries[row_start[s] .. + row_entries[s]): column slot << 16 | count, F = count * row_scale[s]. Its
-  // columns are in the order of their nodes, each once; only leaves have any.
+  // A row is entries[row_start[s] .. + row_entries[s]): column slot << 16 | count, F = count * row_scale[s]. Its columns
+  // are in the order of their nodes; a coarse one that stands for nodes of several partner tiles may come once for each.
+  // Only leaves have any. A row begins at a multiple of kRowPadding and is filled up to one with entries of count 0.
   std::vector<uint32_t> row_start, row_entries;
   std::vector<float> row_scale;  // 1 / Q
   std::vector<Vec4> albedo;      // rgb and 0
