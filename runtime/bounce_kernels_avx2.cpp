@@ -78,18 +78,27 @@ FF_AVX2 inline void addSome(const Element* matrix, size_t column_stride, uint32_
     column[n] = matrix + columns[n] * column_stride;
     for (uint32_t r = 0; r < Results; ++r) factor[r][n] = _mm256_set1_ps(factors[r][n] / kStoredScale<Element>);
   }
-  for (uint32_t row = row_begin; row < row_end; row += 8) {
-    __m256 sum[Results];
+  for (uint32_t row = row_begin; row < row_end; row += kP) {
+    __m256 low[Results], high[Results];
 #pragma GCC unroll 3
-    for (uint32_t r = 0; r < Results; ++r) sum[r] = _mm256_loadu_ps(out[r] + row);
+    for (uint32_t r = 0; r < Results; ++r) {
+      low[r] = _mm256_loadu_ps(out[r] + row);
+      high[r] = _mm256_loadu_ps(out[r] + row + 8);
+    }
 #pragma GCC unroll 4
     for (uint32_t n = 0; n < Columns; ++n) {
-      const __m256 value = load8(column[n] + row);
+      const __m256 value0 = load8(column[n] + row), value1 = load8(column[n] + row + 8);
 #pragma GCC unroll 3
-      for (uint32_t r = 0; r < Results; ++r) sum[r] = _mm256_fmadd_ps(value, factor[r][n], sum[r]);
+      for (uint32_t r = 0; r < Results; ++r) {
+        low[r] = _mm256_fmadd_ps(value0, factor[r][n], low[r]);
+        high[r] = _mm256_fmadd_ps(value1, factor[r][n], high[r]);
+      }
     }
 #pragma GCC unroll 3
-    for (uint32_t r = 0; r < Results; ++r) _mm256_storeu_ps(out[r] + row, sum[r]);
+    for (uint32_t r = 0; r < Results; ++r) {
+      _mm256_storeu_ps(out[r] + row, low[r]);
+      _mm256_storeu_ps(out[r] + row + 8, high[r]);
+    }
   }
 }
 

@@ -22,14 +22,14 @@ using Clock = std::chrono::steady_clock;
 constexpr uint32_t kB = kMaxBlock, kP = kPanelRows;
 // Rows of the matrix that a part of a task takes: gathers keep a tile's columns in the second-level cache; in the pass
 // the tall factor's rows (256 KiB) stay there while columns stream by.
-constexpr uint32_t kGatherRows = 128, kLightRows = 512, kPassRows = 1024, kPassColumns = 192;
+constexpr uint32_t kGatherRows = 128, kLightRows = 512, kLightColumns = 256, kPassRows = 1024, kPassColumns = 192;
 constexpr uint16_t kNotEntering = 0xffff;
 
 uint32_t roundUp(uint32_t value, uint32_t multiple) { return (value + multiple - 1) / multiple * multiple; }
 float channelOf(const Vec4& v, uint32_t c) { return c == 0 ? v.x : c == 1 ? v.y : v.z; }
 double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 Error refusal(std::string message) {
-  return Error{ErrorCode::kInvalidFile, "", "", std::move(message), "rebuild the matrix, or use the gather solver"};
+  return Error{ErrorCode::kInvalidFile, "", "", std::move(message), "store fp32, or use the gather solver"};
 }
 
 // The matrix of one colour channel, and what an update of it needs.
@@ -79,6 +79,7 @@ class CpuMultibounce final : public BounceMatrix {
     block_used_.assign(rows_ / 8, 0);
     for (auto& f : factors_) f.assign(rows_, 0);
     for (auto& e : light_) e.assign(rows_, 0);
+    partial_.assign(size_t{(rows_ + kLightColumns - 1) / kLightColumns} * 3 * rows_, 0);
     name_ = std::string("multibounce cpu ") + (sizeof(Element) == 2 ? "fp16" : "fp32") +
             (settings.luminance ? " luminance" : "");
   }
@@ -119,7 +120,8 @@ class CpuMultibounce final : public BounceMatrix {
     for (const Plane<Element>& p : planes_) {
       if (trusted(p, k)) continue;
       unseat(block, used_before);
-      return refusal("light would be caught among the nodes that enter: I - S C is singular to working precision");
+      return refusal(std::string("light would be multiplied more than ") + (sizeof(Element) == 2 ? "fp16" : "fp32") +
+                     " storage can carry: I - S C is singular to its precision");
     }
     writeColumns(block);
     makeWide(k);
@@ -143,7 +145,7 @@ class CpuMultibounce final : public BounceMatrix {
           FF_CHECK_EQ(int{present_[some[i]]}, 1);
           delta_[planeIndex(p)][i] = -static_cast<double>(p.albedo[some[i]]);
         }
-      if (!changeAlbedo(some)) return refusal("the matrix has lost its precision: I + G C is singular");
+      if (!changeAlbedo(some)) return refusal("the matrix has lost its precision: I + G C is singular; rebuild it");
       for (const uint32_t place : some) {
         present_[place] = 0;
         row_sum_[place] = 0;
@@ -369,8 +371,9 @@ class CpuMultibounce final : public BounceMatrix {
     });
   }
 
-  // K = I + S C + (S C)^2 + ...: nothing in it is negative. Its rounding errors are those of S times its norm: past a
-  // half no digit of it is right. Stored fp16 is off by 2^-12 of a value at the most.
+  // K = I + S C + (S C)^2 + ...: nothing in it is negative, and it multiplies the rounding errors of S (stored fp16 is
+  // off by up to 2^-12 of a value). That is what one block can be judged by; what a walk gathers, the caller's residual
+  // shows.
   bool trusted(const Plane<Element>& p, uint32_t k) const {
     if (!p.solved) return false;
     const double norm = rowNorm(p.k, k);
@@ -381,7 +384,7 @@ class CpuMultibounce final : public BounceMatrix {
     const auto& carried = carried_[planeIndex(p)];
     const double most = *std::max_element(carried.begin(), carried.begin() + k);
     const double error = most * (sizeof(Element) == 2 ? 0x1p-12 : 0x1p-21) + 0x1p-22;
-    return error * norm < 0.5;
+    return error * norm < 0.1;
   }
 
   // G_LP and G_PP into the matrix; then U C_P with ones at P in `tall`, so that the product with `wide` writes G_PL
@@ -522,24 +525,39 @@ class CpuMultibounce final : public BounceMatrix {
           for (uint32_t j = 0; j < k; ++j) y[j] += w[j] * factors_[c][i];
         }
       });
-    forParts(parts, [&](Plane<Element>& p, uint32_t part) {
-      const uint32_t begin = part * kLightRows, end = std::min(begin + kLightRows, rows);
-      const auto first = static_cast<uint32_t>(planeIndex(p)), last = settings_.luminance ? 3u : first + 1;
-      for (uint32_t c = first; c < last; ++c) std::fill(light_[c].begin() + begin, light_[c].begin() + end, 0.0f);
-      const float* const factors[3] = {factors_[0].data(), factors_[1].data(), factors_[2].data()};
-      float* const out[3] = {light_[0].data(), light_[1].data(), light_[2].data()};
-      if (settings_.luminance)
-        kernels_.addColumns3(p.matrix.data(), stride_, begin, end, columns_.data(), factors, n, out);
-      else
-        kernels_.addColumns(p.matrix.data(), stride_, begin, end, columns_.data(), factors[first], n, out[first]);
-      for (uint32_t c = first; c < last && k > 0; ++c)
-        for (uint32_t row = begin; row < end; row += kP)
-          for (uint32_t j = 0; j < k; ++j) {
-            const float* u = p.tall.data() + panelIndex(row, j, k);
-            for (uint32_t i = 0; i < kP; ++i) out[c][row + i] += u[i] * pending_light_[c][j];
-          }
+    // Whole columns to each part: memory is read in long runs. Their sums are added in order, whoever made them.
+    const uint32_t chunks = (n + kLightColumns - 1) / kLightColumns;
+    forParts(chunks, [&](Plane<Element>& p, uint32_t chunk) {
+      const uint32_t first = chunk * kLightColumns, some = std::min(kLightColumns, n - first);
+      const auto plane = static_cast<uint32_t>(planeIndex(p));
+      if (settings_.luminance) {
+        float* const out[3] = {partial(0, chunk), partial(1, chunk), partial(2, chunk)};
+        const float* const factors[3] = {&factors_[0][first], &factors_[1][first], &factors_[2][first]};
+        for (float* e : out) std::fill_n(e, rows, 0.0f);
+        kernels_.addColumns3(p.matrix.data(), stride_, 0, rows, &columns_[first], factors, some, out);
+      } else {
+        float* out = partial(plane, chunk);
+        std::fill_n(out, rows, 0.0f);
+        kernels_.addColumns(p.matrix.data(), stride_, 0, rows, &columns_[first], &factors_[plane][first], some, out);
+      }
+    });
+    pool_.run(3 * parts, [&](uint32_t part) {
+      const uint32_t c = part / parts, begin = part % parts * kLightRows, end = std::min(begin + kLightRows, rows);
+      float* out = light_[c].data();
+      std::fill(out + begin, out + end, 0.0f);
+      for (uint32_t chunk = 0; chunk < chunks; ++chunk) {
+        const float* sum = partial(c, chunk);
+        for (uint32_t row = begin; row < end; ++row) out[row] += sum[row];
+      }
+      for (uint32_t row = begin; row < end; row += kP)
+        for (uint32_t j = 0; j < k; ++j) {
+          const float* u = planes_[c % planes_.size()].tall.data() + panelIndex(row, j, k);
+          for (uint32_t i = 0; i < kP; ++i) out[row + i] += u[i] * pending_light_[c][j];
+        }
     });
   }
+
+  float* partial(uint32_t channel, uint32_t chunk) { return partial_.data() + (size_t{chunk} * 3 + channel) * rows_; }
 
   // light_ = G (value + (C_c - C) light_): brings the channels' own albedos in (cpu_multibounce.h).
   template <class Value>
@@ -569,6 +587,7 @@ class CpuMultibounce final : public BounceMatrix {
   std::vector<float> row_sum_, row_sum_before_;
   std::vector<uint32_t> columns_, blocks_, changed_at_;
   std::vector<float> factors_[3], light_[3];
+  std::vector<float> partial_;  // per chunk of columns: three sums of all rows
   std::array<double, kB> delta_[3], carried_[3];
   std::array<float, kB> pending_light_[3];
   std::array<uint32_t, kB> lowered_places_, zero_rows_;

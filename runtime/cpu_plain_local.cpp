@@ -15,7 +15,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr uint32_t kRows = 512;  // of a part of a task
+constexpr uint32_t kColumns = 256;  // of a part of a task
 
 double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 
@@ -37,6 +37,7 @@ class CpuPlainLocal final : public BounceMatrix {
     changed_.assign(rows_, {});
     for (auto& f : factors_) f.assign(rows_, 0);
     for (auto& e : light_) e.assign(rows_, 0);
+    partial_.assign(size_t{(rows_ + kColumns - 1) / kColumns} * 3 * rows_, 0);
   }
 
   bool allocated() const { return static_cast<bool>(matrix_); }
@@ -144,12 +145,22 @@ class CpuPlainLocal final : public BounceMatrix {
         factors_[2][n] = source[j].z + (b > 0 ? colour_[j].z * light_[2][j] : 0);
         ++n;
       }
-      pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
-        const uint32_t begin = part * kRows, end = std::min(begin + kRows, rows);
-        const float* const factors[3] = {factors_[0].data(), factors_[1].data(), factors_[2].data()};
-        float* const out[3] = {light_[0].data(), light_[1].data(), light_[2].data()};
-        for (float* e : out) std::fill(e + begin, e + end, 0.0f);
-        kernels_.addColumns3(matrix_.data(), stride_, begin, end, columns_.data(), factors, n, out);
+      const uint32_t chunks = (n + kColumns - 1) / kColumns;
+      const auto partial = [&](uint32_t c, uint32_t chunk) {
+        return partial_.data() + (size_t{chunk} * 3 + c) * rows_;
+      };
+      pool_.run(chunks, [&](uint32_t chunk) {
+        const uint32_t first = chunk * kColumns;
+        const float* const factors[3] = {&factors_[0][first], &factors_[1][first], &factors_[2][first]};
+        float* const out[3] = {partial(0, chunk), partial(1, chunk), partial(2, chunk)};
+        for (float* e : out) std::fill_n(e, rows, 0.0f);
+        kernels_.addColumns3(matrix_.data(), stride_, 0, rows, &columns_[first], factors, std::min(kColumns, n - first),
+                             out);
+      });
+      pool_.run(3, [&](uint32_t c) {
+        std::fill_n(light_[c].data(), rows, 0.0f);
+        for (uint32_t chunk = 0; chunk < chunks; ++chunk)
+          for (uint32_t row = 0; row < rows; ++row) light_[c][row] += partial(c, chunk)[row];
       });
     }
   }
@@ -164,7 +175,7 @@ class CpuPlainLocal final : public BounceMatrix {
   std::vector<uint8_t> present_;
   std::vector<Vec4> colour_, changed_;
   std::vector<uint32_t> columns_;
-  std::vector<float> factors_[3], light_[3];
+  std::vector<float> factors_[3], light_[3], partial_;
   BounceStats stats_;
   std::string name_;
 };

@@ -16,7 +16,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr uint32_t kColumns = 64, kRows = 256;  // of a part of a task
+constexpr uint32_t kColumns = 64, kRows = 256, kChunk = 256;  // of a part of a task
 
 double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 
@@ -34,6 +34,7 @@ class CpuSeed final : public BounceMatrix {
         matrix_(stride_ * rows_) {
     for (auto* v : {&colour_, &f_col_, &f_row_, &g_col_, &g_row_, &weighted_, &col_, &row_}) v->assign(rows_, {});
     present_.assign(rows_, 0);
+    partial_.assign(size_t{(rows_ + kChunk - 1) / kChunk} * rows_, {});
   }
 
   bool allocated() const { return static_cast<bool>(matrix_); }
@@ -115,10 +116,19 @@ class CpuSeed final : public BounceMatrix {
   // out = F_local factor.
   void multiply(const std::vector<Vec4>& factor, std::vector<Vec4>& out) {
     const uint32_t rows = usedRows();
+    const uint32_t chunks = (used_ + kChunk - 1) / kChunk;
+    pool_.run(chunks, [&](uint32_t chunk) {  // whole columns: memory is read in long runs
+      const uint32_t first = chunk * kChunk;
+      Vec4* sum = partial_.data() + size_t{chunk} * rows_;
+      std::fill_n(sum, rows, Vec4{});
+      kernels_.multiply(matrix_.data() + first * stride_, stride_, 0, rows, std::min(kChunk, used_ - first),
+                        &factor[first], sum);
+    });
     pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
       const uint32_t begin = part * kRows, end = std::min(begin + kRows, rows);
       std::fill(out.begin() + begin, out.begin() + end, Vec4{});
-      kernels_.multiply(matrix_.data(), stride_, begin, end, used_, factor.data(), out.data());
+      for (uint32_t chunk = 0; chunk < chunks; ++chunk)
+        for (uint32_t i = begin; i < end; ++i) out[i] = out[i] + partial_[size_t{chunk} * rows_ + i];
     });
   }
 
@@ -180,6 +190,7 @@ class CpuSeed final : public BounceMatrix {
   PageMemory<Half4> matrix_;
   std::vector<Vec4> colour_;  // per place, 0 where free
   std::vector<Vec4> f_col_, f_row_, g_col_, g_row_, weighted_, col_, row_;
+  std::vector<Vec4> partial_;  // per chunk of columns: a sum of all rows
   std::vector<uint8_t> present_;
   BounceStats stats_;
 };

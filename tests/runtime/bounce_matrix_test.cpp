@@ -41,6 +41,26 @@ TEST(CpuMultibounce, HasTheSameBitsForAnyNumberOfThreadsSlicedOrNot) {
   }
 }
 
+// The oscillation is the worst walk: nodes that stay gather the rounding of every update.
+TEST(CpuMultibounce, AHundredThousandSwapsLeaveNoTrace) {
+  const PatchSet scene = makeScene({.patches = 512, .entries_per_row = 60});
+  const std::vector<Vec4> source = randomLight(256, 1);
+  for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
+    auto made = makeCpuMultibounce({.places = 256, .storage = storage, .threads = 2});
+    ASSERT_TRUE(made);
+    Placement at(scene, 256);
+    Walk walk(WalkKind::kOscillation, 512, 256, kMaxBlock, 1);
+    enter(**made, at, walk.present(), kMaxBlock);
+    for (uint32_t swaps = 0; swaps < 100000; swaps += kMaxBlock) {
+      const Walk::Step moved = walk.next();
+      leave(**made, at, moved.leaving);
+      enter(**made, at, moved.entering, kMaxBlock);
+    }
+    const double error = relativeError(relit(**made, source), exactIrradiance(at, source));
+    EXPECT_LE(error, storage == Storage::kFloat32 ? 1e-5 : 5e-3);
+  }
+}
+
 TEST(CpuMultibounce, RefusesSizesThatNoMatrixHas) {
   EXPECT_FALSE(makeCpuMultibounce({.places = 0}));
   EXPECT_FALSE(makeCpuMultibounce({.places = 1000000}));
