@@ -26,6 +26,15 @@ uint64_t entryCapacity(const formats::World& world) {
   return (entries / std::max<uint64_t>(nodes, 1) + kRowPadding) * in_cut * 3 / 2 + kEntryAlignment * kTilesAtFirst;
 }
 
+// A tile has 256 rows and shares most of their partners among them.
+constexpr uint64_t kEntriesAPartner = 8;
+
+// Ranges are not empty: a patch may see nothing but the sky.
+template <class List>
+uint64_t rangeOf(const List& list) {
+  return std::max<uint64_t>(list.size(), 1);
+}
+
 uint64_t padded(uint64_t entries) { return (entries + kRowPadding - 1) / kRowPadding * kRowPadding; }
 
 // Of all rows of a strip, resolved or not.
@@ -61,10 +70,13 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
       far_light_(far_light),
       pages_(world, ambientOf(far_light)),
       slots_(kMaxSlots),
-      entries_(entryCapacity(world)) {
+      entries_(entryCapacity(world)),
+      partners_(entryCapacity(world) / kEntriesAPartner),
+      runs_(entryCapacity(world)) {
   tiles_.reserve(kTilesAtFirst);
   next_tiles_.reserve(kTilesAtFirst);
-  spare_.reserve(kTilesAtFirst);
+  partner_pages_.reserve(entryCapacity(world) / kEntriesAPartner);
+  run_entries_.reserve(entryCapacity(world));
   columns_.reserve(kTilesAtFirst);
   scratch_.resize(kMaxRowEntries);
   change_.left.reserve(kTilesAtFirst);
@@ -147,7 +159,7 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
   matrix_.packed.clear();
   for (const Tile& tile : tiles_) {
     matrix_.tiles.push_back(tile.range);
-    matrix_.packed.push_back({tile.strip.get(), tile.partner_pages});
+    matrix_.packed.push_back({tile.strip.get(), partnerPages(tile)});
   }
   const auto changed = pages_.refresh();
   change_.pages.assign(changed.begin(), changed.end());
@@ -175,11 +187,6 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
     tile.strip = strip;
     tile.entered = true;
-    if (!spare_.empty()) {
-      tile.partner_pages = std::move(spare_.back().partner_pages);
-      tile.run_entries = std::move(spare_.back().run_entries);
-      spare_.pop_back();
-    }
     next_tiles_.push_back(std::move(tile));
   }
   dropUpTo(nullptr);
@@ -198,12 +205,9 @@ void MatrixAssembler::drop(Tile& tile) {
     m.row_entries[slot] = 0;
     m.parent_slot[slot] = kNoSlot;
   }
-  slots_.release(tile.range.first_slot, tile.range.nodes);
-  entries_.release(tile.first_entry, tile.room);
   pages_.setActive(tile.range.id, kNoSlot);
-  for (const uint32_t page : tile.partner_pages) pages_.release(page);
-  tile.partner_pages.clear();
-  spare_.push_back({std::move(tile.partner_pages), std::move(tile.run_entries)});
+  for (const uint32_t page : partnerPages(tile)) pages_.release(page);
+  releaseRanges(tile);
   change_.left.push_back(tile.range);
   tile.strip.reset();
 }
@@ -214,20 +218,43 @@ void MatrixAssembler::makeLeaf(uint32_t slot) {
 }
 
 // Gives the tile slots and room for its entries. False: there is none (the tile is as before).
-bool MatrixAssembler::place(Tile& tile) {
-  const ResidentStrip& strip = *tile.strip;
-  const auto first_slot = slots_.allocate(tile.range.nodes, 1);
-  if (!first_slot) return false;
-  tile.room = roomOf(strip);
-  const auto first_entry = entries_.allocate(tile.room, kEntryAlignment);
-  if (!first_entry) {
-    slots_.release(*first_slot, tile.range.nodes);
+// All or nothing.
+bool MatrixAssembler::reserveRanges(Tile& tile) {
+  tile.room = roomOf(*tile.strip);
+  const uint64_t partners = rangeOf(tile.strip->partners), runs = rangeOf(tile.strip->runs);
+  const auto slot = slots_.allocate(tile.range.nodes, 1);
+  const auto entry = entries_.allocate(tile.room, kEntryAlignment);
+  const auto partner = partners_.allocate(partners, 1), run = runs_.allocate(runs, 1);
+  if (!slot || !entry || !partner || !run) {
+    if (slot) slots_.release(*slot, tile.range.nodes);
+    if (entry) entries_.release(*entry, tile.room);
+    if (partner) partners_.release(*partner, partners);
+    if (run) runs_.release(*run, runs);
     return false;
   }
+  tile.range.first_slot = static_cast<uint32_t>(*slot);
+  tile.first_entry = *entry;
+  tile.first_partner = *partner;
+  tile.first_run = *run;
+  tile.placed = true;
+  if (*partner + partners > partner_pages_.size()) partner_pages_.resize(*partner + partners);
+  if (*run + runs > run_entries_.size()) run_entries_.resize(*run + runs);
+  return true;
+}
+
+void MatrixAssembler::releaseRanges(Tile& tile) {
+  slots_.release(tile.range.first_slot, tile.range.nodes);
+  entries_.release(tile.first_entry, tile.room);
+  partners_.release(tile.first_partner, rangeOf(tile.strip->partners));
+  runs_.release(tile.first_run, rangeOf(tile.strip->runs));
+  tile.placed = false;
+}
+
+bool MatrixAssembler::place(Tile& tile) {
+  if (!reserveRanges(tile)) return false;
+  const ResidentStrip& strip = *tile.strip;
   LocalMatrix& m = matrix_;
-  tile.range.first_slot = static_cast<uint32_t>(*first_slot);
-  tile.first_entry = *first_entry;
-  const size_t end = *first_slot + tile.range.nodes;
+  const size_t end = tile.range.first_slot + tile.range.nodes;
   if (end > m.albedo.size()) {
     for (auto* per_slot : {&m.row_start, &m.row_entries}) per_slot->resize(end, 0);
     m.parent_slot.resize(end, kNoSlot);
@@ -236,11 +263,11 @@ bool MatrixAssembler::place(Tile& tile) {
     m.albedo.resize(end);
     m.leaf.resize(end, 0);
   }
-  if (*first_entry + tile.room > m.entries.size()) m.entries.resize(*first_entry + tile.room);
-  uint64_t row_start = *first_entry;
+  if (tile.first_entry + tile.room > m.entries.size()) m.entries.resize(tile.first_entry + tile.room);
+  uint64_t row_start = tile.first_entry;
   for (uint32_t i = 0; i < tile.range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
-    const size_t slot = *first_slot + i;
+    const size_t slot = tile.range.first_slot + i;
     m.row_start[slot] = static_cast<uint32_t>(row_start);
     row_start += padded(strip.row_start[i + 1] - strip.row_start[i]);
     m.row_scale[slot] = node.quanta ? 1.0f / static_cast<float>(node.quanta) : 0.0f;
@@ -249,10 +276,8 @@ bool MatrixAssembler::place(Tile& tile) {
     m.leaf[slot] = 1;
   }
   pages_.setActive(tile.range.id, tile.range.first_slot);
-  tile.run_entries.resize(strip.runs.size());
-  if (tile.partner_pages.empty())
-    for (const uint32_t partner : strip.partners)
-      tile.partner_pages.push_back(pages_.hold({tile.range.id.level, partner}));
+  const std::span<uint32_t> pages = partnerPages(tile);
+  for (size_t p = 0; p < pages.size(); ++p) pages[p] = pages_.hold({tile.range.id.level, strip.partners[p]});
   return true;
 }
 
@@ -265,14 +290,21 @@ void MatrixAssembler::renumber() {
   m.albedo.clear();
   m.leaf.clear();
   new_leaves_.clear();
-  uint64_t room = 0;
+  uint64_t room = 0, partners = 0, runs = 0;
   for (Tile& tile : tiles_) {
     tile.entered = true;
     pages_.setActive(tile.range.id, kNoSlot);
+    if (tile.placed)
+      for (const uint32_t page : partnerPages(tile)) pages_.release(page);
+    tile.placed = false;
     room += roomOf(*tile.strip) + kEntryAlignment;
+    partners += rangeOf(tile.strip->partners);
+    runs += rangeOf(tile.strip->runs);
   }
   slots_ = RangeAllocator(kMaxSlots);
   entries_ = RangeAllocator(std::max(entryCapacity(world_), 2 * room));
+  partners_ = RangeAllocator(std::max(entryCapacity(world_) / kEntriesAPartner, 2 * partners));
+  runs_ = RangeAllocator(std::max(entryCapacity(world_), 2 * runs));
   if (far_light_ == FarLight::kConstant) {
     m.ambient_slot = static_cast<uint32_t>(*slots_.allocate(1, 1));
     m.row_start.push_back(0);
@@ -305,13 +337,13 @@ void MatrixAssembler::link(const Tile& tile) {
 }
 
 // Resolves a range of a row's runs into `out`; returns the number of entries. word: of the first run.
-uint32_t MatrixAssembler::resolveRuns(Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out) const {
+uint32_t MatrixAssembler::resolveRuns(const Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out) {
   const ResidentStrip& strip = *tile.strip;
   uint32_t entries = 0;
   for (uint32_t r = first; r < end; ++r) {
     const ResidentStrip::Run run = strip.runs[r];
     const uint32_t n = resolveRun(strip.words.data() + word, run.words, columns_[run.partner].page, out + entries);
-    tile.run_entries[r] = static_cast<uint16_t>(n);
+    run_entries_[tile.first_run + r] = static_cast<uint16_t>(n);
     entries += n;
     word += run.words;
   }
@@ -346,7 +378,7 @@ void MatrixAssembler::updateRow(Tile& tile, uint32_t row) {
       first_entry = entry;
     }
     word += strip.runs[r].words;
-    entry += tile.run_entries[r];
+    entry += run_entries_[tile.first_run + r];
     if (changed) {
       end = r + 1;
       end_entry = entry;
@@ -369,8 +401,9 @@ void MatrixAssembler::resolveRows() {
     auto new_leaf = std::lower_bound(new_leaves_.begin(), new_leaves_.end(), first);
     uint64_t changed = 0;  // bit p % 64 for each partner p whose page changed
     columns_.clear();
-    for (size_t p = 0; p < tile.partner_pages.size(); ++p) {
-      const uint32_t page = tile.partner_pages[p];
+    const std::span<const uint32_t> partners = partnerPages(tile);
+    for (size_t p = 0; p < partners.size(); ++p) {
+      const uint32_t page = partners[p];
       columns_.push_back({pages_.page(page).data(), pages_.changed(page)});
       if (columns_[p].changed) changed |= uint64_t{1} << p % 64;
     }

@@ -40,23 +40,23 @@ class MatrixAssembler {
   struct Tile {
     SlotRange range;
     stream::StripPtr strip;
-    uint64_t first_entry = 0, room = 0;   // in LocalMatrix::entries
-    std::vector<uint32_t> partner_pages;  // by index in strip->partners
-    std::vector<uint16_t> run_entries;    // by run: entries that it takes in its row
-    bool entered = false;
+    uint64_t first_entry = 0, room = 0;  // in LocalMatrix::entries
+    uint64_t first_partner = 0, first_run = 0;  // in partner_pages_ and run_entries_
+    bool entered = false, placed = false;
   };
-  struct Spare {  // of tiles that left, for the next ones
-    std::vector<uint32_t> partner_pages;
-    std::vector<uint16_t> run_entries;
-  };
+  std::span<uint32_t> partnerPages(const Tile& tile) {
+    return std::span(partner_pages_).subspan(tile.first_partner, tile.strip->partners.size());
+  }
   Result<void> check(std::span<const stream::StripPtr> active) const;
   void diff(std::span<const stream::StripPtr> active);
   void drop(Tile& tile);
   bool place(Tile& tile);
+  bool reserveRanges(Tile& tile);
+  void releaseRanges(Tile& tile);
   void renumber();
   void link(const Tile& tile);
   void makeLeaf(uint32_t slot);
-  uint32_t resolveRuns(Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out) const;
+  uint32_t resolveRuns(const Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out);
   void resolveRow(Tile& tile, uint32_t row);
   void updateRow(Tile& tile, uint32_t row);
   void pad(uint32_t slot);
@@ -68,9 +68,10 @@ class MatrixAssembler {
   LocalMatrix matrix_;
   MatrixChange change_;
   PageTable pages_;
-  RangeAllocator slots_, entries_;
+  RangeAllocator slots_, entries_, partners_, runs_;
   std::vector<Tile> tiles_, next_tiles_;
-  std::vector<Spare> spare_;
+  std::vector<uint32_t> partner_pages_;  // of a tile: by index in strip->partners
+  std::vector<uint16_t> run_entries_;    // of a tile: by run, entries that it takes in its row
   std::vector<uint32_t> new_leaves_;  // slots
   struct Column {                     // of a partner tile, for the tile being resolved
     const uint16_t* page;

@@ -30,8 +30,9 @@ std::vector<Vec3> cosineRays(uint32_t count) {
 
 }  // namespace
 
-Probes::Probes(const formats::World& world, const ProbeSettings& settings)
+Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSettings& settings)
     : world_(world),
+      slots_(slots),
       settings_(settings),
       numbers_(world),
       tree_(world, kMaxSlots),
@@ -39,13 +40,10 @@ Probes::Probes(const formats::World& world, const ProbeSettings& settings)
       tile_of_slot_(kMaxSlots),
       seen_(kMaxSlots),
       changed_(kMaxSlots),
-      slot_of_tile_(numbers_.tiles(), kNoSlot),
       kept_((std::max(settings.most_kept, 1u) + kWays - 1) / kWays * kWays),
       places_(kept_.size() * rays_.size()),
       met_(rays_.size()),
-      facets_(world, settings.facet_bytes) {
-  tiles_.reserve(std::min(numbers_.tiles(), kMaxSlots));
-}
+      facets_(world, settings.facet_bytes) {}
 
 void Probes::follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut) {
   facets_.moveTo(observer);
@@ -54,8 +52,6 @@ void Probes::follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<c
   cut_ = cut;
   ++state_;
   ++follows_;
-  for (const uint32_t number : tiles_) slot_of_tile_[number] = kNoSlot;
-  tiles_.clear();
   for (const ProbeTile& tile : tiles) enter(tile, leaf);
   for (uint32_t slot = 0; slot < kMaxSlots; ++slot)
     if (tile_of_slot_[slot] != 0 && seen_[slot] != follows_) leave(slot);
@@ -76,27 +72,12 @@ void Probes::enter(const ProbeTile& tile, std::span<const uint8_t> leaf) {
     else if (!tree_.holds(slot))
       tree_.insert(slot, tile.id.level, tile.nodes[i], number);
   }
-  slot_of_tile_[number] = tile.first_slot;
-  tiles_.push_back(number);
 }
 
 void Probes::leave(uint32_t slot) {
   tree_.remove(slot);
   changed_[slot] = state_;
   tile_of_slot_[slot] = 0;
-}
-
-// The patch's own slot, or that of its nearest ancestor in the cut.
-uint32_t Probes::slotOf(uint32_t tile, uint32_t patch) const {
-  uint32_t number = tile, node = world_.tiles(0)[tile].first_node + patch;
-  for (uint32_t level = 0;; ++level) {
-    const formats::TileInfo& info = world_.tiles(level)[tile];
-    if (slot_of_tile_[number] != kNoSlot) return slot_of_tile_[number] + node - info.first_node;
-    if (level + 1 == world_.levels().size()) return kNoSlot;
-    node = world_.parent(level, node);
-    tile = world_.tileOf(level + 1, node);
-    number = numbers_.of({level + 1, tile});
-  }
 }
 
 void Probes::settle() {
@@ -162,7 +143,10 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
       ++kept.sky;
       kept.sky_directions += ray.direction;
     } else if (plane.slot != kNoSlot ? plane.front : facet.front) {
-      const uint32_t slot = plane.slot != kNoSlot ? plane.slot : slotOf(facet.tile, facet.patch);
+      const uint32_t slot =
+          plane.slot != kNoSlot
+              ? plane.slot
+              : slots_.slotOf({0, facet.tile}, world_.tiles(0)[facet.tile].first_node + facet.patch);
       if (slot != kNoSlot) met_[met++] = static_cast<uint16_t>(slot);
     }
   }

@@ -10,6 +10,7 @@
 #include "formats/reader.h"
 #include "runtime/facet_scene.h"
 #include "runtime/probe_tree.h"
+#include "runtime/slot_map.h"
 #include "runtime/updater.h"
 
 namespace ff::runtime {
@@ -36,10 +37,11 @@ struct ProbeStats {
 // One thread. Neither follow() nor sample() allocates, frees or waits.
 class Probes {
  public:
-  Probes(const formats::World& world, const ProbeSettings& settings);
+  // slots: of the cut that follow() is told of. Both outlive the probes.
+  Probes(const formats::World& world, const SlotMap& slots, const ProbeSettings& settings);
 
-  // Where the observer is, and the cut from now on: every frame, before sample(). leaf: by slot. cut: a number that
-  // differs whenever the tiles, their slots or `leaf` do; costs little when it does not.
+  // Where the observer is, and the cut from now on: before sample(). leaf: by slot. cut: a number that differs whenever
+  // the tiles, their slots or `leaf` do; costs little when it does not.
   void follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut);
   // Irradiance, W/m2, of a surface at each point that faces along its normal (unit), from everything but what the caller
   // has as direct light: radiosity of surfaces and the sky. radiosity: W/m2, by slot. The answer is a function of the
@@ -70,9 +72,9 @@ class Probes {
   void trace(size_t kept, Vec3 point, Vec3 normal);
   Vec3 evaluate(size_t kept, std::span<const Vec4> radiosity, const Sky& sky) const;
 
-  uint32_t slotOf(uint32_t tile, uint32_t patch) const;
 
   const formats::World& world_;
+  const SlotMap& slots_;
   const ProbeSettings settings_;
   const stream::TileNumbers numbers_;
   ProbeTree tree_;
@@ -81,8 +83,6 @@ class Probes {
   std::vector<uint32_t> tile_of_slot_;   // number of the tile + 1; 0: free
   std::vector<uint32_t> seen_;           // the last follow() whose cut held the slot
   std::vector<uint64_t> changed_;        // state_ since which the slot stands for what it stands for now
-  std::vector<uint32_t> slot_of_tile_;   // first, by tile number; kNoSlot: not in the cut
-  std::vector<uint32_t> tiles_;          // numbers of those in the cut
   uint64_t cut_ = ~uint64_t{0}, state_ = 1;
   uint32_t follows_ = 0;
   std::vector<Kept> kept_;

@@ -64,6 +64,12 @@ void Updater::setDirectLight(DirectLight direct) {
 
 void Updater::lightChanged() { light_changed_ = true; }
 
+void Updater::setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance) {
+  for (size_t i = 0; i < irradiance.size() && first_slot + i < direct_irradiance_.size(); ++i)
+    direct_irradiance_[first_slot + i] = irradiance[i];
+  sky_changed_ = true;  // all sources are made anew, from what is here
+}
+
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
   streamer_.update(observer, velocity);

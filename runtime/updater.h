@@ -41,6 +41,9 @@ class Updater {
   void setAmbient(Vec3 radiosity);
   void setDirectLight(DirectLight direct);
   void lightChanged();
+  // Sets direct irradiance by slot, W/m2, from the next frame on, until DirectLight is asked again or the tile leaves.
+  // Slots beyond the matrix are left out.
+  void setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance);
 
   // Runs one frame. iterations: k. Radiosity carries over from the last frame by node, so light lags by at most a few
   // frames after a change of the cut.

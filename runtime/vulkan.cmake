@@ -20,3 +20,6 @@ foreach(step scatter delete)
   ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_comp)
   ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_half_comp DEFINES HALF=1)
 endforeach()
+ff_room(ff_formfield_vulkan formfield_vulkan.cpp)
+target_include_directories(ff_formfield_vulkan PRIVATE ${CMAKE_CURRENT_SOURCE_DIR})  # formfield_vulkan.h's "formfield.h"
+target_link_libraries(ff_formfield_vulkan PUBLIC ff_formfield PRIVATE ff_runtime ff_runtime_vulkan Vulkan::Vulkan)

@@ -66,7 +66,8 @@ struct Frame {
         streamer(std::move(*stream::Streamer::create(of, {.radius_m = radius_m, .hysteresis = 1}))),
         solver(makeCpuGather(2)),
         updater(of, *streamer, *solver),
-        probes(of, settings) {
+        slots(of),
+        probes(of, slots, settings) {
     updater.setSky(sky);
     updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) {
       const auto values = sun.tile(world, id);
@@ -80,6 +81,7 @@ struct Frame {
     EXPECT_TRUE(updater.converge(1e-6f, 500));
     radiosity.resize(updater.matrix().slots());
     EXPECT_TRUE(updater.radiosity(radiosity));
+    slots.follow(updater.matrix().tiles);
     tiles.clear();
     for (size_t t = 0; t < updater.matrix().tiles.size(); ++t)
       tiles.push_back({updater.matrix().tiles[t].id, updater.matrix().tiles[t].first_slot, streamer->active()[t]->nodes});
@@ -98,6 +100,7 @@ struct Frame {
   std::unique_ptr<stream::Streamer> streamer;
   std::unique_ptr<Solver> solver;
   Updater updater;
+  SlotMap slots;
   Probes probes;
   std::vector<ProbeTile> tiles;
   std::vector<Vec4> radiosity;

@@ -1,0 +1,213 @@
+/* Formfield: bounced light for worlds larger than memory. The C interface of the runtime.
+ *
+ * An engine opens a baked world (NAME.ffm), tells it every frame where the observer is and what light falls directly on
+ * the surfaces around, and gets back the radiosity of those surfaces with all bounces, and the irradiance at any point.
+ *
+ * Units: metres (right-handed, y up), metres a second, W/m2 per colour channel (linear RGB), W/(m2 sr) for radiance.
+ *   Radiosity is what leaves a surface; irradiance what arrives at one. A white screen of radiosity B has radiance B / pi.
+ * Words: a *patch* is a piece of surface; a *node* a patch (level 0) or a cluster of nodes of the level below; a *tile*
+ *   up to 256 consecutive nodes of one level. The tiles around the observer are *active*: each of their nodes has a
+ *   *slot*, and keeps it while its tile is active. Lists by slot have holes: slots of no tile hold nothing of meaning.
+ * Ownership: handles are the caller's to destroy, worlds before their device. Pointers that functions return belong to
+ *   the world and say how long they are valid. Strings and arrays passed in are copied or only read during the call.
+ * Threads: a device and its worlds are used by one thread at a time (any). Callbacks come on the calling thread. The
+ *   library's own threads read, decode and, on the CPU, share the solver's work.
+ * The frame path (formfieldFrame, formfieldRecord, formfieldSample, the setters and everything that only reads):
+ *   allocates and frees nothing and waits for no file after formfieldOpenWorld, errors aside. formfieldFrame waits for
+ *   the device that it runs on.
+ * Errors: every function that can fail returns a FormfieldResult and leaves a line that says what is wrong, where, and
+ *   what to do about it; formfieldError() returns it. Nothing is printed, nothing exits, no exception comes out.
+ * Structures begin with their size: set it, or use the function that fills in the defaults, so that newer libraries know
+ *   which fields an older program has.
+ */
+#ifndef FORMFIELD_H
+#define FORMFIELD_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define FORMFIELD_NO_SLOT 0xffffffffu
+#define FORMFIELD_MAX_SLOTS 65536u
+
+typedef enum FormfieldResult {
+  FORMFIELD_OK = 0,
+  FORMFIELD_ERROR_USAGE = 1,        /* an argument or a setting */
+  FORMFIELD_ERROR_IO = 2,           /* a file cannot be read; a driver or a device fails */
+  FORMFIELD_ERROR_INVALID_FILE = 3, /* a file is damaged or not a world */
+  FORMFIELD_ERROR_PHYSICS = 4,      /* valid, but more light would come out than went in */
+  FORMFIELD_ERROR_UNSUPPORTED = 5,  /* this device, or this build, cannot do it */
+  FORMFIELD_ERROR_OUT_OF_MEMORY = 6
+} FormfieldResult;
+
+typedef struct FormfieldDevice_T* FormfieldDevice; /* where light is computed */
+typedef struct FormfieldWorld_T* FormfieldWorld;   /* an open world, streamed around one observer */
+
+/* Version of the library, major * 10000 + minor * 100 + patch, and as text. */
+uint32_t formfieldVersion(void);
+const char* formfieldVersionText(void);
+
+/* The line of the last error of a device, of its worlds, or of formfieldCreate...Device on this thread (device: NULL).
+ * Empty: none. Valid until the next error. */
+const char* formfieldError(FormfieldDevice device);
+
+/* ---- Devices ---- */
+
+/* The cores of this machine. threads: 0 takes all. A Vulkan device: formfield_vulkan.h. */
+FormfieldResult formfieldCreateCpuDevice(int32_t threads, FormfieldDevice* device);
+/* NULL is allowed. Its worlds must be closed. */
+void formfieldDestroyDevice(FormfieldDevice device);
+/* "cpu", "vulkan: NAME". Valid as long as the device. */
+const char* formfieldDeviceName(FormfieldDevice device);
+
+/* ---- Worlds ---- */
+
+typedef enum FormfieldSolver {
+  FORMFIELD_SOLVER_AUTO = 0,        /* by the size and density of what is around the observer */
+  FORMFIELD_SOLVER_GATHER = 1,      /* sparse iterations, warm-started: open worlds */
+  FORMFIELD_SOLVER_MULTIBOUNCE = 2, /* one dense matrix with all bounces in it: small closed spaces */
+  FORMFIELD_SOLVER_SEED = 3         /* the seed paper's method, for comparison */
+} FormfieldSolver;
+
+typedef enum FormfieldStorage { FORMFIELD_STORAGE_FLOAT32 = 0, FORMFIELD_STORAGE_FLOAT16 = 1 } FormfieldStorage;
+
+typedef struct FormfieldWorldSettings {
+  uint32_t size;               /* sizeof(FormfieldWorldSettings) */
+  float radius_m;              /* within it light is computed patch by patch; beyond, ever coarser */
+  float growth;                /* of the radius from level to level */
+  float hysteresis;            /* tiles leave this factor farther away than they enter */
+  uint64_t memory_bytes;       /* of strips in memory */
+  uint32_t max_patches;        /* active at once */
+  uint32_t max_nodes;          /* of all levels, up to FORMFIELD_MAX_SLOTS */
+  uint32_t decode_threads;
+  FormfieldSolver solver;
+  FormfieldStorage storage;    /* of dense matrices */
+  uint32_t iterations;         /* of the solver, a frame */
+  uint32_t probes;             /* for formfieldSample: points remembered; 0: formfieldSample is not used */
+  uint32_t probe_rays;         /* of each */
+  uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
+} FormfieldWorldSettings;
+
+/* Good values for a world of 1 m patches. */
+void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings);
+
+/* Opens NAME.ffm and loads its coarsest level. settings: NULL for the defaults. */
+FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, const FormfieldWorldSettings* settings,
+                                   FormfieldWorld* world);
+/* Waits for reads that are under way. NULL is allowed. */
+void formfieldCloseWorld(FormfieldWorld world);
+
+typedef struct FormfieldWorldInfo {
+  uint32_t size;       /* sizeof(FormfieldWorldInfo) */
+  uint32_t patches;    /* level-0 nodes; patch numbers are below */
+  uint32_t levels;
+  float cell_m;        /* edge of the grid that patches were cut by */
+  float lo[3], hi[3];  /* bounds */
+  uint32_t has_geometry; /* 1: drawing triangles were baked in; probes need them */
+} FormfieldWorldInfo;
+
+FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* info);
+
+/* ---- Light ---- */
+
+typedef struct FormfieldNode {
+  float centroid[3], normal[3]; /* m; unit, or zero where a cluster's pieces cancel */
+  float area_m2;
+  float albedo[3];
+} FormfieldNode;
+
+/* Direct irradiance (sun, lamps; not the sky, not what surfaces emit) of the nodes of one tile, W/m2, three floats a
+ * node; of a cluster the area-weighted mean over its patches. Called from formfieldFrame when a tile becomes active and
+ * after formfieldLightChanged. `irradiance` is zero beforehand. */
+typedef void (*FormfieldDirectLight)(void* user, uint32_t level, uint32_t tile, uint32_t first_node, uint32_t nodes,
+                                     const FormfieldNode* node, float* irradiance);
+
+/* NULL: no direct light but what formfieldSetDirectIrradiance sets. */
+FormfieldResult formfieldSetDirectLight(FormfieldWorld world, FormfieldDirectLight direct_light, void* user);
+/* Asks for all active tiles anew at the next frame. */
+FormfieldResult formfieldLightChanged(FormfieldWorld world);
+/* Sets it for slots first .. first + count - 1 instead, three floats each, from the next frame on; stays until set
+ * again, the callback is asked again, or the tile leaves. For callers that light by slot. */
+FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t first, uint32_t count,
+                                             const float* irradiance);
+
+/* A sky of radiance L(w) = radiance[c] + dot(gradient[c], w) for channel c and unit direction w, W/(m2 sr). */
+typedef struct FormfieldSky {
+  float radiance[3];
+  float gradient[3][3];
+} FormfieldSky;
+
+FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky);
+
+/* ---- Frames ---- */
+
+/* One frame: takes what has been loaded, asks for what is missing (`velocity`, m/s, says what will be needed), brings the
+ * cut and its matrix up to date, and iterates. On a Vulkan device it submits and waits; formfieldRecord
+ * (formfield_vulkan.h) does the same into the caller's command buffer. */
+FormfieldResult formfieldFrame(FormfieldWorld world, const float observer[3], const float velocity[3]);
+
+/* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
+ * next frame. */
+const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots);
+
+/* Irradiance, W/m2, of a small surface at each point that faces along its unit normal: what surfaces around reflect and
+ * emit, and the sky; not the caller's direct light. For characters and all else that moves. points, normals, irradiance:
+ * three floats each. Points near the observer are answered best. Walls keep light out. Remembered points are cheap; new
+ * ones cost probe_rays rays. Changes with the last frame's light. */
+FormfieldResult formfieldSample(FormfieldWorld world, uint32_t count, const float* points, const float* normals,
+                                float* irradiance);
+
+/* Loading screens, tests: blocks until nothing is left to load for the last observer and the light changes by less than
+ * tolerance (of the largest radiosity) from one iteration to the next, or max_iterations are done. */
+FormfieldResult formfieldSettle(FormfieldWorld world, float tolerance, uint32_t max_iterations);
+
+/* ---- Which slot is what ---- */
+
+typedef struct FormfieldTile {
+  uint32_t level, tile; /* number within the level */
+  uint32_t first_slot;  /* slots of a tile are consecutive, in the order of its nodes */
+  uint32_t first_node;  /* number within the level */
+  uint32_t nodes;
+} FormfieldTile;
+
+/* The active tiles, sorted by (level, tile). Valid until the next frame. change (may be NULL): differs from its last
+ * value whenever the tiles or their slots do. */
+const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint64_t* change);
+/* Slot that lights a patch: its own, or that of the cluster that stands for it. Writes FORMFIELD_NO_SLOT before the first
+ * frame. Patches first .. first + count - 1. */
+FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots);
+/* Level and node of a slot. FORMFIELD_ERROR_USAGE for a slot of no tile. */
+FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node);
+
+/* ---- Statistics ---- */
+
+typedef struct FormfieldStats {
+  uint32_t size;                               /* sizeof(FormfieldStats) */
+  uint32_t slots, leaves, level0_leaves;       /* leaves: nodes of the cut */
+  uint64_t entries;                            /* of the local matrix */
+  uint32_t cut_changed;                        /* in the last frame: 0 or 1 */
+  double stream_ms, matrix_ms, solve_ms;       /* of the last frame; solve_ms on the device's clock */
+  uint64_t strips_read, bytes_read, strips_evicted, reads_cancelled, strips_failed;
+  uint64_t resident_bytes, peak_resident_bytes;
+  uint32_t resident_tiles, wanted_tiles, pending_tiles;
+  uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
+  double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
+                                                  negative: not measured */
+  uint64_t probes_traced, probes_remembered;   /* points answered by new rays, by remembered ones */
+  uint32_t probe_tiles;                        /* level-0 tiles whose triangles are loaded */
+} FormfieldStats;
+
+FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
+/* "cpu", "vulkan: NAME": what computes the light now. Valid until the next frame. */
+const char* formfieldSolverName(FormfieldWorld world);
+/* Why the CPU has taken over; empty: it has not. Allocates nothing. */
+const char* formfieldFallbackReason(FormfieldWorld world);
+/* The last strip that could not be read, as a line; empty: none. Allocates; valid until the next call. */
+const char* formfieldStreamFailure(FormfieldWorld world);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,99 @@
+// What is behind the handles of formfield.h. Internal: formfield.cpp and formfield_vulkan.cpp.
+#pragma once
+#include <array>
+#include <memory>
+#include <new>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "runtime/formfield.h"
+#include "runtime/probes.h"
+#include "runtime/residual_probe.h"
+#include "runtime/slot_map.h"
+#include "runtime/updater.h"
+
+namespace ff::runtime {
+
+// The solver of a world, and, where one device can fail, the name of the reason.
+struct WorldSolver {
+  std::unique_ptr<Solver> solver;
+  const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
+};
+
+}  // namespace ff::runtime
+
+struct FormfieldDevice_T {
+  virtual ~FormfieldDevice_T() = default;
+  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const FormfieldWorldSettings& settings) = 0;
+  std::string name, error;
+};
+
+struct FormfieldWorld_T {
+  FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<ff::formats::World> opened,
+                   const FormfieldWorldSettings& with, std::unique_ptr<ff::stream::Streamer> strips,
+                   ff::runtime::WorldSolver made);
+  FormfieldWorld_T(const FormfieldWorld_T&) = delete;
+  FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
+
+  ff::Result<void> frame(ff::Vec3 observer, ff::Vec3 velocity);
+  ff::Result<void> settle(float tolerance, uint32_t max_iterations);
+  ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
+  void askDirectLight(ff::formats::TileId id, std::span<ff::Vec3> out);
+  void followCut(const ff::runtime::FrameStats& stats);
+  ff::Result<void> readRadiosity();
+
+  FormfieldDevice_T& device;
+  const std::unique_ptr<ff::formats::World> world;
+  const FormfieldWorldSettings settings;
+  const std::unique_ptr<ff::stream::Streamer> streamer;
+  const ff::runtime::WorldSolver solver;
+  ff::runtime::Updater updater;
+  ff::runtime::SlotMap slots;
+  std::optional<ff::runtime::Probes> probes;
+  ff::runtime::ResidualProbe residual_probe;
+  ff::runtime::Sky sky;
+  FormfieldDirectLight direct_light = nullptr;
+  void* direct_light_user = nullptr;
+
+  // Of the last frame.
+  ff::Vec3 observer, velocity;
+  ff::runtime::FrameStats frame_stats;
+  double residual = -1;
+  uint64_t change = 0, followed = ~uint64_t{0};  // the cut: its number, and the one that the probes know
+  std::vector<FormfieldTile> tiles;
+  std::vector<ff::runtime::ProbeTile> probe_tiles;
+  std::vector<ff::runtime::Vec4> radiosity;
+  std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
+  std::string stream_failure;
+};
+
+namespace ff::runtime {
+
+// Where the line of an error goes when there is no device yet: this thread's.
+std::string& errorOfThisThread();
+
+FormfieldResult resultOf(const Error& error);
+
+// Runs a call behind the C interface: what goes wrong becomes a code and a line.
+template <class Call>
+FormfieldResult guarded(std::string& line, Call&& call) noexcept {
+  try {
+    const Result<void> done = call();
+    if (done) return FORMFIELD_OK;
+    line = done.error().line();
+    return resultOf(done.error());
+  } catch (const std::bad_alloc&) {
+    line = "out of memory";  // short enough to need none
+    return FORMFIELD_ERROR_OUT_OF_MEMORY;
+  } catch (...) {
+    line = "internal error";
+    return FORMFIELD_ERROR_IO;
+  }
+}
+
+inline Error usageError(const char* place, const char* message, const char* remedy = "") {
+  return {ErrorCode::kUsage, "", place, message, remedy};
+}
+
+}  // namespace ff::runtime
