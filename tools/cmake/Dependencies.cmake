@@ -12,6 +12,7 @@ ff_find_openvdb()
 find_package(draco CONFIG REQUIRED)
 find_package(zstd CONFIG REQUIRED)
 find_package(Vulkan 1.3 REQUIRED COMPONENTS glslangValidator)
+find_package(Eigen3 3.4 CONFIG REQUIRED)  # benches: the rival of gather
 find_package(CLI11 CONFIG REQUIRED)
 find_package(fmt CONFIG REQUIRED)
 find_package(spdlog CONFIG REQUIRED)

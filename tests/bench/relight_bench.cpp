@@ -1,0 +1,353 @@
+// ff_bench_relight: from new light to bounced light, how fast and how exact. On a town, at the default cut: one step of
+// `gather` beside one relight of `seed` (the paper's method: the nearest patches, at most 4096, all else one constant),
+// of plain local radiosity and of `multibounce` on the same patches; their errors against the double-precision solve of
+// the whole world; and what the machine could do: its read bandwidth, Eigen's sparse product. Prints JSON lines.
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <Eigen/Sparse>
+#include <algorithm>
+#include <numeric>
+
+#include "runtime/cpu_multibounce.h"
+#include "runtime/cpu_seed.h"
+#include "runtime/vk_gather.h"
+#include "runtime/vk_multibounce.h"
+#include "runtime/vk_seed.h"
+#include "runtime/worker_pool.h"
+#include "tests/bench/read_bandwidth.h"
+#include "tests/bench/truth.h"
+#include "tests/runtime/walks.h"
+
+namespace {
+
+using namespace ff;
+using namespace ff::bench;
+using namespace ff::runtime;
+
+struct Options {
+  std::string world, backend = "both";
+  bool quick = false;
+  int observers = 5;
+  uint32_t patches = 4096;
+  int threads = 0;
+};
+
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+template <class Step>
+double medianMs(int repeats, const Step& step) {
+  std::vector<double> ms;
+  for (int i = 0; i < repeats; ++i) {
+    const auto began = Clock::now();
+    step();
+    ms.push_back(msSince(began));
+  }
+  return median(ms);
+}
+
+// One observer, its cut with the pyramid and with a constant beyond the active patches.
+struct Place {
+  Case at;
+  std::unique_ptr<stream::Streamer> streamer;
+  std::unique_ptr<MatrixAssembler> pyramid;
+  std::vector<Vec4> source;  // by slot of the pyramid
+};
+
+Place placeAt(const formats::World& world, const Truth& truth, Vec3 observer, uint32_t patches) {
+  Place p;
+  p.streamer = orExit(stream::Streamer::create(world, {.hysteresis = 1.0f, .max_level0_nodes = patches}));
+  p.streamer->update(observer, {});
+  orExit(p.streamer->settle());
+  p.at = {observer, localRadius(truth, p.streamer->active(), observer)};
+  p.pyramid = std::make_unique<MatrixAssembler>(world);
+  orExit(p.pyramid->update(p.streamer->active()));
+  p.source = sourceOf(truth, world, p.pyramid->matrix(), p.streamer->active());
+  return p;
+}
+
+std::unique_ptr<Solver> solverAt(const Place& place, std::unique_ptr<Solver> solver) {
+  orExit(solver->update(place.pyramid->matrix(), {.any = true, .renumbered = true}));
+  orExit(solver->setSource(place.source));
+  orExit(solver->setRadiosity(place.source));
+  return solver;
+}
+
+// The level-0 patches of a place as the dense methods see them.
+struct Local {
+  LocalMatrix matrix;  // FarLight::kConstant
+  PatchSet set;
+  std::vector<uint32_t> slots;    // of the patches, in order
+  std::vector<Vec4> source;       // by patch: M and what the constant adds
+  std::vector<Vec4> slot_source;  // by slot: M alone
+};
+
+Local localAt(const formats::World& world, const Truth& truth, const Place& place) {
+  Local l;
+  l.matrix = orExit(buildLocalMatrix(world, place.streamer->active(), FarLight::kConstant));
+  l.slot_source = sourceOf(truth, world, l.matrix, place.streamer->active());
+  const Vec4 ambient = meanOutside(truth, l.matrix);
+  std::vector<uint32_t> patch_of(l.matrix.slots(), 0);
+  for (const SlotRange& range : l.matrix.tiles)
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      patch_of[range.first_slot + i] = static_cast<uint32_t>(l.slots.size());
+      l.slots.push_back(range.first_slot + i);
+    }
+  std::vector<FormFactorRow> rows(l.slots.size());
+  std::vector<Vec4> albedo;
+  for (size_t p = 0; p < l.slots.size(); ++p) {
+    const uint32_t slot = l.slots[p];
+    const Vec4 rho = l.matrix.albedo[slot];
+    float outside = 0;
+    for (const uint32_t entry : l.matrix.row(slot)) {
+      const float f = static_cast<float>(entry & 0xffff) * l.matrix.row_scale[slot];
+      if (entry >> 16 == l.matrix.ambient_slot)
+        outside += f;
+      else
+        rows[p].push_back({patch_of[entry >> 16], f});
+    }
+    const Vec4 m = l.slot_source[slot];
+    l.source.push_back(
+        {m.x + rho.x * outside * ambient.x, m.y + rho.y * outside * ambient.y, m.z + rho.z * outside * ambient.z, 0});
+    albedo.push_back(rho);
+    std::sort(rows[p].begin(), rows[p].end());
+  }
+  l.set = makePatchSet(rows, std::move(albedo));
+  return l;
+}
+
+void fill(BounceMatrix& matrix, Placement& placement, uint32_t patches, uint32_t block) {
+  std::vector<uint32_t> entering;
+  for (uint32_t first = 0; first < patches; first += block) {
+    entering.resize(std::min(block, patches - first));
+    std::iota(entering.begin(), entering.end(), first);
+    orExit(matrix.insert(placement.enter(entering)));
+  }
+}
+
+double errorOf(const Truth& truth, const Place& place, const Local& local, const Placement& placement,
+               BounceMatrix& matrix) {
+  std::vector<Vec4> source(matrix.capacity()), irradiance(matrix.capacity());
+  for (uint32_t p = 0; p < local.slots.size(); ++p) source[placement.place(p)] = local.source[p];
+  orExit(matrix.relight(source, irradiance));
+  std::vector<Vec4> radiosity(local.matrix.slots());
+  for (uint32_t p = 0; p < local.slots.size(); ++p) {
+    const Vec4 e = irradiance[placement.place(p)], rho = local.set.albedo[p], m = local.source[p];
+    radiosity[local.slots[p]] = {m.x + rho.x * e.x, m.y + rho.y * e.y, m.z + rho.z * e.z, 0};
+  }
+  return compare(truth, local.matrix, radiosity, local.slot_source, place.at).relative();
+}
+
+// A node at the highest place makes a matrix as large as a full one, for what time alone is asked.
+void occupyLast(BounceMatrix& matrix) {
+  const uint32_t place[] = {matrix.capacity() - 1}, none[] = {0, 0};
+  const Vec4 albedo[] = {{0.5f, 0.5f, 0.5f, 0}};
+  orExit(matrix.insert({place, albedo, none, {}, {}, none, {}, {}}));
+}
+
+double relightMs(BounceMatrix& matrix, int repeats) {
+  const std::vector<Vec4> source = randomLight(matrix.capacity(), 1);
+  std::vector<Vec4> irradiance(matrix.capacity());
+  return medianMs(repeats, [&] { orExit(matrix.relight(source, irradiance)); });
+}
+
+// Bytes that one step of gather must read: entries (with their padding) and what it keeps by row.
+double gatherBytes(const LocalMatrix& m) {
+  double entries = 0;
+  for (const uint32_t slot : m.leaves) entries += (m.row_entries[slot] + kRowPadding - 1) / kRowPadding * kRowPadding;
+  return 4 * entries + static_cast<double>(m.leaves.size()) * (3 * sizeof(uint32_t) + 4 * sizeof(Vec4));
+}
+
+// The best of Eigen's ways to multiply this matrix with three channels, one thread.
+double eigenMs(const LocalMatrix& m, int repeats) {
+  std::vector<Eigen::Triplet<float>> entries;
+  for (const uint32_t slot : m.leaves)
+    for (const uint32_t entry : m.row(slot))
+      entries.emplace_back(slot, entry >> 16, static_cast<float>(entry & 0xffff) * m.row_scale[slot]);
+  Eigen::SparseMatrix<float, Eigen::RowMajor> f(m.slots(), m.slots());
+  f.setFromTriplets(entries.begin(), entries.end());
+  const auto time = [&]<class Dense>(Dense b) {
+    Dense e = b;
+    return medianMs(repeats, [&] { e.noalias() = f * b; });
+  };
+  using Rows3 = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+  using Rows4 = Eigen::Matrix<float, Eigen::Dynamic, 4, Eigen::RowMajor>;
+  using Columns3 = Eigen::Matrix<float, Eigen::Dynamic, 3>;
+  const auto n = static_cast<Eigen::Index>(m.slots());
+  return std::min({time(Rows3(Rows3::Ones(n, 3))), time(Rows4(Rows4::Ones(n, 4))), time(Columns3(Columns3::Ones(n, 3))),
+                   3 * time(Eigen::VectorXf(Eigen::VectorXf::Ones(n)))});
+}
+
+std::string percent(double x) { return std::to_string(100 * x) + " %"; }
+
+void runCpu(const Options& options, const formats::World& world, const Truth& truth, const std::vector<Place>& places) {
+  WorkerPool pool(options.threads);
+  const std::string machine = std::to_string(pool.threads()) + " threads";
+  const double read_bytes_per_s = readBandwidth(pool);
+  const Place& first = places.front();
+  const Local local = localAt(world, truth, first);
+  const auto patches = static_cast<uint32_t>(local.slots.size());
+  const MultibounceSettings settings{.places = options.patches, .threads = options.threads};
+  const int repeats = options.quick ? 5 : 15;
+
+  // Accuracy, and the matrices whose products are then timed.
+  std::vector<std::unique_ptr<BounceMatrix>> dense;
+  for (auto* make : {&makeCpuSeed, &makeCpuMultibounce}) dense.push_back(orExit((*make)(settings)));
+  MultibounceSettings half = settings;
+  half.storage = Storage::kFloat16;
+  dense.push_back(orExit(makeCpuMultibounce(half)));
+  dense.push_back(orExit(makeCpuPlainLocal(settings)));
+  const char* const names[] = {"seed", "multibounce", "multibounce_fp16", "plain"};
+  std::vector<double> errors, ms(dense.size());
+  for (size_t d = 0; d < dense.size(); ++d) {
+    Placement placement(local.set, options.patches);
+    fill(*dense[d], placement, patches, d == 0 ? 1 : kMaxBlock);
+    errors.push_back(errorOf(truth, first, local, placement, *dense[d]));
+  }
+
+  std::vector<double> gather_ms, gather_errors, leaves, entries;
+  const auto share = [&](double bytes, double time_ms) { return bytes / (time_ms * 1e-3) / read_bytes_per_s; };
+  std::vector<double> fractions;
+  for (const Place& place : places) {
+    const auto solver = solverAt(place, makeCpuGather(options.threads));
+    orExit(solver->iterate(200));
+    std::vector<Vec4> radiosity(place.source.size());
+    orExit(solver->radiosity(radiosity));
+    gather_errors.push_back(compare(truth, place.pyramid->matrix(), radiosity, place.source, place.at).relative());
+    gather_ms.push_back(medianMs(20 * repeats, [&] { orExit(solver->iterate(1)); }));
+    leaves.push_back(static_cast<double>(place.pyramid->matrix().leaves.size()));
+    entries.push_back(static_cast<double>(place.pyramid->matrix().used_entries));
+    fractions.push_back(share(gatherBytes(place.pyramid->matrix()), gather_ms.back()));
+  }
+  for (size_t d = 0; d < dense.size(); ++d) ms[d] = relightMs(*dense[d], repeats);
+
+  // The speed-up is taken round by round, so that whatever else the machine does hits both.
+  const auto alternating = solverAt(first, makeCpuGather(options.threads));
+  std::vector<double> ratios;
+  const std::vector<Vec4> light = randomLight(options.patches, 2);
+  std::vector<Vec4> irradiance(options.patches);
+  for (int round = 0; round < repeats; ++round) {
+    const double seed = medianMs(1, [&] { orExit(dense[0]->relight(light, irradiance)); });
+    ratios.push_back(seed / medianMs(9, [&] { orExit(alternating->iterate(1)); }));
+  }
+  const double first_error = gather_errors.front(),
+               worst_error = *std::max_element(gather_errors.begin(), gather_errors.end());
+  const std::string cut = std::to_string(static_cast<uint64_t>(median(leaves))) + " active nodes, " +
+                          std::to_string(static_cast<uint64_t>(median(entries))) + " entries (medians of " +
+                          std::to_string(places.size()) + " observers), " + machine;
+  const std::string matrix = std::to_string(patches) + " patches of at most " + std::to_string(options.patches) + ", " +
+                             machine + ", machine reads " + std::to_string(read_bytes_per_s / 1e9) + " GB/s";
+  print("relight.gather_ms", median(gather_ms), "ms", kNone, "one step of gather; " + cut, "cpu");
+  for (size_t d = 0; d < dense.size(); ++d)
+    print(std::string("relight.") + names[d] + "_ms", ms[d], "ms", kNone, matrix, "cpu");
+  print("relight.gather_speedup_over_seed", median(ratios), "ratio", 12,
+        "median of " + std::to_string(repeats) + " rounds at one observer, seed over gather within a round; " +
+            std::to_string(first.pyramid->matrix().leaves.size()) + " active nodes, " +
+            std::to_string(first.pyramid->matrix().used_entries) + " entries; target at least 12",
+        "cpu");
+  print(
+      "relight.gather_error", first_error, "relative L2", errors[0],
+      "reflected radiosity in the inner half at the same observer, converged; limit: seed's; worst of all observers " +
+          percent(worst_error),
+      "cpu");
+  for (size_t d = 0; d < dense.size(); ++d)
+    print(std::string("relight.") + names[d] + "_error", errors[d], "relative L2", kNone,
+          "same patches, all else one constant at its best value (mean radiosity outside)", "cpu");
+  print("relight.gather_bandwidth_fraction", median(fractions), "ratio", 0.7,
+        "bytes of the local matrix and of the rows' data over time, of " + std::to_string(read_bytes_per_s / 1e9) +
+            " GB/s; above 1: it fits in cache; " + cut,
+        "cpu");
+  const auto one = solverAt(first, makeCpuGather(1));
+  std::vector<double> over_eigen;
+  for (int round = 0; round < 5; ++round) {
+    const double eigen = eigenMs(first.pyramid->matrix(), 5);
+    over_eigen.push_back(eigen / medianMs(25, [&] { orExit(one->iterate(1)); }));
+  }
+  print("relight.gather_over_eigen", median(over_eigen), "ratio", 3,
+        "best of Eigen's sparse products (three or four columns by rows, by columns, three vectors) over gather, one "
+        "thread each; target at least 3",
+        "cpu");
+  const auto used = static_cast<double>(patches);
+  print("relight.multibounce_bandwidth_fraction", share(3 * 4 * used * used, ms[1]), "ratio", 0.85,
+        "fp32, bytes of the part in use over time; " + matrix, "cpu");
+  print("relight.multibounce_fp16_bandwidth_fraction", share(3 * 2 * used * used, ms[2]), "ratio", 0.85,
+        "fp16; " + matrix, "cpu");
+}
+
+void runVulkan(const Options& options, const Place& place) {
+  auto context = openVulkan();
+  if (!context) {
+    std::cerr << "ff_bench_relight: Vulkan is left out: " << context.error().line() << "\n";
+    return;
+  }
+  const std::string device = deviceName(**context);
+  const int repeats = options.quick ? 3 : 9;
+  const auto solver = solverAt(place, orExit(makeVulkanGather(*context)));
+  std::vector<double> gather;
+  for (int i = 0; i < repeats; ++i) {
+    orExit(solver->iterate(1));
+    gather.push_back(solver->lastMs());
+  }
+  const MultibounceSettings settings{.places = options.patches};
+  const auto seed = orExit(makeVulkanSeed(*context, settings)),
+             multibounce = orExit(makeVulkanMultibounce(*context, settings));
+  std::vector<double> seed_ms, multibounce_ms;
+  std::vector<Vec4> irradiance(options.patches);
+  const std::vector<Vec4> light = randomLight(options.patches, 3);
+  for (auto [matrix, ms] : {std::pair{seed.get(), &seed_ms}, {multibounce.get(), &multibounce_ms}}) {
+    occupyLast(*matrix);
+    for (int i = 0; i < repeats; ++i) {
+      orExit(matrix->relight(light, irradiance));
+      ms->push_back(matrix->stats().last_relight_ms);
+    }
+  }
+  const std::string note = device + ", device timestamps, median of " + std::to_string(repeats);
+  const double gather_ms = median(gather), seed_median = median(seed_ms), multibounce_median = median(multibounce_ms);
+  print("relight.gather_ms", gather_ms, "ms", kNone,
+        std::to_string(place.pyramid->matrix().used_entries) + " entries; " + note, "vulkan");
+  print("relight.seed_ms", seed_median, "ms", kNone, "M = " + std::to_string(options.patches) + "; " + note, "vulkan");
+  print("relight.multibounce_ms", multibounce_median, "ms", kNone,
+        "fp32, M = " + std::to_string(options.patches) + "; " + note, "vulkan");
+  print("relight.gather_speedup_over_seed", seed_median / gather_ms, "ratio", 20,
+        "target at least 20 on a real GPU; " + note, "vulkan");
+}
+
+void run(const Options& options) {
+  const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_relight_" + std::to_string(getpid()));
+  std::filesystem::create_directories(folder);
+  const formats::World world =
+      orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick) : options.world));
+  const Truth truth = solveTruth(world, false);
+  std::vector<Place> places;
+  for (const Vec3 observer : observersOf(truth, 4 * options.observers, world.info().cell_m)) {
+    Place place = placeAt(world, truth, observer, options.patches);
+    const auto dark = compare(truth, place.pyramid->matrix(), place.source, place.source, place.at);
+    if (dark.meanTruth() < 1e-2 * truth.rms) continue;  // errors there are of nothing
+    places.push_back(std::move(place));
+    if (places.size() == static_cast<size_t>(options.observers)) break;
+  }
+  std::filesystem::remove_all(folder);
+  if (places.empty()) {
+    std::cerr << "ff_bench_relight: no observer sees light; bake a world that the sun reaches\n";
+    std::exit(1);
+  }
+  if (options.backend != "vulkan") runCpu(options, world, truth, places);
+  if (options.backend != "cpu") runVulkan(options, places.front());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options options;
+  CLI::App app{"From new light to bounced light: time and error of every solver. One JSON object a line."};
+  app.add_option("--world", options.world, "a baked world with drawing geometry; without it a town is baked");
+  app.add_flag("--quick", options.quick, "a smaller town and matrix");
+  app.add_option("--observers", options.observers)->check(CLI::Range(1, 100))->capture_default_str();
+  app.add_option("--patches", options.patches, "of the dense matrices: 4096")->check(CLI::Range(64, 8192));
+  app.add_option("--backend", options.backend, "cpu, vulkan or both")->check(CLI::IsMember({"cpu", "vulkan", "both"}));
+  app.add_option("--threads", options.threads, "0: all cores")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  if (options.quick && app.get_option("--patches")->empty()) options.patches = 1024;
+  run(options);
+  return 0;
+}
