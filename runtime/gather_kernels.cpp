@@ -37,14 +37,12 @@ void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
 namespace {
 
 // Radiosity of the columns of two entries, side by side.
-__attribute__((target("avx2,fma"))) inline __m256 loadPair(const Vec4* from, const uint32_t* entries) {
-  const __m128 low = _mm_loadu_ps(&from[entries[0] >> 16].x);
-  return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[entries[1] >> 16].x), 1);
+__attribute__((target("avx2,fma"))) inline __m256 loadPair(const Vec4* from, uint32_t a, uint32_t b) {
+  const __m128 low = _mm_loadu_ps(&from[a >> 16].x);
+  return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[b >> 16].x), 1);
 }
 
 __attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, uint32_t begin, uint32_t end) {
-  const __m256i pair0 = _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1), pair1 = _mm256_setr_epi32(2, 2, 2, 2, 3, 3, 3, 3),
-                pair2 = _mm256_setr_epi32(4, 4, 4, 4, 5, 5, 5, 5), pair3 = _mm256_setr_epi32(6, 6, 6, 6, 7, 7, 7, 7);
   const __m256i count_mask = _mm256_set1_epi32(0xffff);
   const Vec4* const from = job.from;
   for (uint32_t i = begin; i < end; ++i) {
@@ -55,10 +53,11 @@ __attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, ui
     for (; e < last; e += kRowPadding) {  // rows are padded: no remainder
       const __m256i packed = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(e));
       const __m256 counts = _mm256_cvtepi32_ps(_mm256_and_si256(packed, count_mask));
-      even = _mm256_fmadd_ps(loadPair(from, e), _mm256_permutevar8x32_ps(counts, pair0), even);
-      odd = _mm256_fmadd_ps(loadPair(from, e + 2), _mm256_permutevar8x32_ps(counts, pair1), odd);
-      even = _mm256_fmadd_ps(loadPair(from, e + 4), _mm256_permutevar8x32_ps(counts, pair2), even);
-      odd = _mm256_fmadd_ps(loadPair(from, e + 6), _mm256_permutevar8x32_ps(counts, pair3), odd);
+      // Entry k beside entry k + 4, so that counts are spread within their half: a shuffle across halves takes longer.
+      even = _mm256_fmadd_ps(loadPair(from, e[0], e[4]), _mm256_permute_ps(counts, 0x00), even);
+      odd = _mm256_fmadd_ps(loadPair(from, e[1], e[5]), _mm256_permute_ps(counts, 0x55), odd);
+      even = _mm256_fmadd_ps(loadPair(from, e[2], e[6]), _mm256_permute_ps(counts, 0xaa), even);
+      odd = _mm256_fmadd_ps(loadPair(from, e[3], e[7]), _mm256_permute_ps(counts, 0xff), odd);
     }
     even = _mm256_add_ps(even, odd);
     const __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));

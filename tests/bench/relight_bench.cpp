@@ -66,6 +66,13 @@ Place placeAt(const formats::World& world, const Truth& truth, Vec3 observer, ui
   return p;
 }
 
+uint32_t activePatches(const LocalMatrix& matrix) {
+  uint32_t patches = 0;
+  for (const SlotRange& range : matrix.tiles)
+    if (range.id.level == 0) patches += range.nodes;
+  return patches;
+}
+
 std::unique_ptr<Solver> solverAt(const Place& place, std::unique_ptr<Solver> solver) {
   orExit(solver->update(place.pyramid->matrix(), {.any = true, .renumbered = true}));
   orExit(solver->setSource(place.source));
@@ -183,7 +190,10 @@ std::string percent(double x) { return std::to_string(100 * x) + " %"; }
 void runCpu(const Options& options, const formats::World& world, const Truth& truth, const std::vector<Place>& places) {
   WorkerPool pool(options.threads);
   const std::string machine = std::to_string(pool.threads()) + " threads";
-  const double read_bytes_per_s = readBandwidth(pool);
+  ReadBandwidth bandwidth(pool);
+  std::vector<double> passes;
+  for (int i = 0; i < 7; ++i) passes.push_back(bandwidth.pass());
+  const double read_bytes_per_s = median(passes);
   const Place& first = places.front();
   const Local local = localAt(world, truth, first);
   const auto patches = static_cast<uint32_t>(local.slots.size());
@@ -206,7 +216,16 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   }
 
   std::vector<double> gather_ms, gather_errors, leaves, entries;
-  const auto share = [&](double bytes, double time_ms) { return bytes / (time_ms * 1e-3) / read_bytes_per_s; };
+  // Bandwidth is measured beside what is compared with it, so that whatever else the machine does hits both.
+  const auto share = [&](double bytes, const auto& step, int steps) {
+    std::vector<double> shares;
+    for (int round = 0; round < repeats; ++round) {
+      const double read = bandwidth.pass();
+      step();  // a pass has emptied the caches
+      shares.push_back(bytes / (medianMs(steps, step) * 1e-3) / read);
+    }
+    return median(shares);
+  };
   std::vector<double> fractions;
   for (const Place& place : places) {
     const auto solver = solverAt(place, makeCpuGather(options.threads));
@@ -217,7 +236,8 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
     gather_ms.push_back(medianMs(20 * repeats, [&] { orExit(solver->iterate(1)); }));
     leaves.push_back(static_cast<double>(place.pyramid->matrix().leaves.size()));
     entries.push_back(static_cast<double>(place.pyramid->matrix().used_entries));
-    fractions.push_back(share(gatherBytes(place.pyramid->matrix()), gather_ms.back()));
+    fractions.push_back(share(
+        gatherBytes(place.pyramid->matrix()), [&] { orExit(solver->iterate(1)); }, 9));
   }
   for (size_t d = 0; d < dense.size(); ++d) ms[d] = relightMs(*dense[d], repeats);
 
@@ -259,19 +279,23 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
         "cpu");
   const auto one = solverAt(first, makeCpuGather(1));
   std::vector<double> over_eigen;
-  for (int round = 0; round < 5; ++round) {
-    const double eigen = eigenMs(first.pyramid->matrix(), 5);
-    over_eigen.push_back(eigen / medianMs(25, [&] { orExit(one->iterate(1)); }));
+  for (int round = 0; round < 9; ++round) {
+    const double ours = medianMs(25, [&] { orExit(one->iterate(1)); });
+    const double eigen = eigenMs(first.pyramid->matrix(), 7);
+    over_eigen.push_back(eigen / ours);
   }
   print("relight.gather_over_eigen", median(over_eigen), "ratio", 3,
         "best of Eigen's sparse products (three or four columns by rows, by columns, three vectors) over gather, one "
         "thread each; target at least 3",
         "cpu");
   const auto used = static_cast<double>(patches);
-  print("relight.multibounce_bandwidth_fraction", share(3 * 4 * used * used, ms[1]), "ratio", 0.85,
-        "fp32, bytes of the part in use over time; " + matrix, "cpu");
-  print("relight.multibounce_fp16_bandwidth_fraction", share(3 * 2 * used * used, ms[2]), "ratio", 0.85,
-        "fp16; " + matrix, "cpu");
+  const auto denseShare = [&](size_t d, double bytes_an_element) {
+    return share(
+        3 * bytes_an_element * used * used, [&] { orExit(dense[d]->relight(light, irradiance)); }, 3);
+  };
+  print("relight.multibounce_bandwidth_fraction", denseShare(1, 4), "ratio", 0.85,
+        "fp32, bytes of the part in use over time, read bandwidth measured in each round; " + matrix, "cpu");
+  print("relight.multibounce_fp16_bandwidth_fraction", denseShare(2, 2), "ratio", 0.85, "fp16; " + matrix, "cpu");
 }
 
 void runVulkan(const Options& options, const Place& place) {
@@ -326,6 +350,10 @@ void run(const Options& options) {
     places.push_back(std::move(place));
     if (places.size() == static_cast<size_t>(options.observers)) break;
   }
+  // The dense methods are compared where they are as large as they may be.
+  std::stable_sort(places.begin(), places.end(), [](const Place& a, const Place& b) {
+    return activePatches(a.pyramid->matrix()) > activePatches(b.pyramid->matrix());
+  });
   std::filesystem::remove_all(folder);
   if (places.empty()) {
     std::cerr << "ff_bench_relight: no observer sees light; bake a world that the sun reaches\n";
