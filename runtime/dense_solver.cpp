@@ -41,6 +41,7 @@ class Dense final : public DenseSolver {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* v : {&source_, &irradiance_, &radiosity_, &scale_, &minus_, &residual_, &work_}) v->reserve(kMaxSlots);
     place_of_slot_.reserve(kMaxSlots);
+    old_place_.reserve(kMaxSlots);
     refused_.reserve(kMaxSlots);
     slot_of_place_.assign(bounces_->capacity(), kNoSlot);
     by_place_.assign(bounces_->capacity(), {});

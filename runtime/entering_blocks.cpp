@@ -10,7 +10,16 @@ EnteringBlocks::EnteringBlocks() {
   child_weight_.reserve(kMaxSlots);
   leads_.reserve(kMaxSlots);
   sum_.reserve(kMaxSlots);
-  met_.reserve(kMaxSlots);
+  for (auto* list : {&met_, &entering_, &row_start_, &column_start_}) list->reserve(kMaxSlots + 1);
+  // Some hundred columns for each of some thousand nodes; more is taken when it is met.
+  constexpr size_t kEntries = size_t{1} << 19;
+  rows_.reserve(kEntries);
+  columns_met_.reserve(kEntries);
+  columns_.reserve(kEntries);
+  for (auto* list : {&block_columns_, &receivers_}) list->reserve(kEntries / 4);
+  for (auto* list : {&row_values_, &column_values_}) list->reserve(kEntries / 4);
+  for (auto* list : {&places_, &block_row_start_, &block_column_start_}) list->reserve(kMaxBlock + 1);
+  albedo_.reserve(kMaxBlock);
 }
 
 void EnteringBlocks::takeUp(const LocalMatrix& matrix) {
