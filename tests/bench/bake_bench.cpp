@@ -66,7 +66,8 @@ double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaste
   const size_t batch = std::min<size_t>(set.patches.size(), 512), stride = set.patches.size() / batch;
   std::vector<Ray> all(batch * rays);
   tbb::parallel_for(size_t{0}, batch, [&](size_t b) {
-    patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster.surfaceOffset(), std::span(all).subspan(b * rays, rays));
+    patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster.surfaceOffset(),
+              std::span(all).subspan(b * rays, rays));
   });
   std::vector<double> speeds;
   std::atomic<uint64_t> sink{0};
@@ -95,7 +96,8 @@ std::vector<double> reflected(const PatchSet& set, const Rows& rows, const std::
   for (size_t i = 0; i < n; ++i)
     for (int c = 0; c < 3; ++c)
       source[3 * i + static_cast<size_t>(c)] = static_cast<double>(set.patches[i].emission[c]) +
-          static_cast<double>(set.patches[i].albedo[c]) * (sun[i] + std::acos(-1.0) * 2.0 * static_cast<double>(rows.sky[i]));
+                                               static_cast<double>(set.patches[i].albedo[c]) *
+                                                   (sun[i] + std::acos(-1.0) * 2.0 * static_cast<double>(rows.sky[i]));
   b = source;
   for (int k = 0; k < 60; ++k) {
     tbb::parallel_for(size_t{0}, n, [&](size_t i) {
@@ -108,7 +110,8 @@ std::vector<double> reflected(const PatchSet& set, const Rows& rows, const std::
     std::swap(b, next);
   }
   for (size_t i = 0; i < n; ++i)
-    for (size_t c = 0; c < 3; ++c) e[3 * i + c] = b[3 * i + c] - static_cast<double>(set.patches[i].emission[static_cast<int>(c)]);
+    for (size_t c = 0; c < 3; ++c)
+      e[3 * i + c] = b[3 * i + c] - static_cast<double>(set.patches[i].emission[static_cast<int>(c)]);
   return e;
 }
 
@@ -149,7 +152,8 @@ double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster
   for (size_t i = 0; i < sun.size(); ++i) {
     const Patch& p = set.patches[i];
     const float c = dot(p.normal, to_sun);
-    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset()), to_sun}, 1e9f)) sun[i] = 10.0 * static_cast<double>(c);
+    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset()), to_sun}, 1e9f))
+      sun[i] = 10.0 * static_cast<double>(c);
   }
   std::atomic<uint64_t> done{0};
   const auto t = reflected(set, rowsOf(set, castRows(scene, set, caster, 16384, 77, done), 0), sun);
@@ -192,18 +196,22 @@ int main(int argc, char** argv) {
   const double level0_bytes = static_cast<double>(level0.stored_bytes) + kIndexRecord * level0.tiles;
   print("bake.bytes_per_patch", level0_bytes / level0.nodes, "B", 190, note + "; level 0: rows, node records, index");
   print("bake.entries_per_row", static_cast<double>(level0.entries) / level0.nodes, "entries", kNoLimit, note);
-  print("bake.pyramid_over_level0", static_cast<double>(all) / static_cast<double>(level0.stored_bytes), "ratio", 1.6, note);
+  print("bake.pyramid_over_level0", static_cast<double>(all) / static_cast<double>(level0.stored_bytes), "ratio", 1.6,
+        note);
 
   const Scene little = town(folder, small);
   const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1}, (folder / "little.ffm").string()));
-  print("bake.cost_growth", (stats.seconds / level0.nodes) / (little_stats.seconds / little_stats.levels[0].nodes), "ratio", 1,
-        "seconds a patch at " + std::to_string(level0.nodes) + " patches over that at " + std::to_string(little_stats.levels[0].nodes));
+  print("bake.cost_growth", (stats.seconds / level0.nodes) / (little_stats.seconds / little_stats.levels[0].nodes),
+        "ratio", 1,
+        "seconds a patch at " + std::to_string(level0.nodes) + " patches over that at " +
+            std::to_string(little_stats.levels[0].nodes));
 
   const Scene probe = town(folder, accurate);
   const PatchSet probe_set = orExit(makePatches(probe, {.cell_m = 1}));
   const RayCaster probe_caster = orExit(RayCaster::create(probe));
   print("bake.measured_error", rowError(probe, probe_set, probe_caster, 4096, 512), "relative L2", kNoLimit,
-        "reflected radiosity, sun and sky, against pooled rows of 16384 other rays; " + std::to_string(probe_set.patches.size()) + " patches");
+        "reflected radiosity, sun and sky, against pooled rows of 16384 other rays; " +
+            std::to_string(probe_set.patches.size()) + " patches");
   std::filesystem::remove_all(folder);
   return 0;
 }

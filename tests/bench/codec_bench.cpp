@@ -1,5 +1,5 @@
-// ff_bench_codec [--quick]: size and decoding speed of strips, on the level-0 rows of a baked voxel town, beside zstd alone
-// on the same bytes. Prints one JSON object a line (metric, value, unit, limit, note). One thread.
+// ff_bench_codec [--quick]: size and decoding speed of strips, on the level-0 rows of a baked voxel town, beside zstd
+// alone on the same bytes. Prints one JSON object a line (metric, value, unit, limit, note). One thread.
 #include <fcntl.h>
 #include <unistd.h>
 #include <zstd.h>
@@ -35,7 +35,12 @@ int failed(const Error& error) {
 }
 
 void print(const char* metric, double value, const char* unit, nlohmann::json limit, const std::string& note) {
-  std::cout << nlohmann::json{{"metric", metric}, {"value", value}, {"unit", unit}, {"limit", std::move(limit)}, {"note", note}}.dump()
+  std::cout << nlohmann::json{{"metric", metric},
+                              {"value", value},
+                              {"unit", unit},
+                              {"limit", std::move(limit)},
+                              {"note", note}}
+                   .dump()
             << std::endl;
 }
 
@@ -57,8 +62,8 @@ int measure(const World& world, const std::string& scene) {
   double entries = 0, payload = 0, raw = 0;
   for (const TileInfo& t : tiles) {
     stored.emplace_back(t.stored_bytes);
-    if (::pread(world.shards()[t.shard].descriptor, stored.back().data(), t.stored_bytes, static_cast<off_t>(t.offset)) !=
-        static_cast<ssize_t>(t.stored_bytes))
+    if (::pread(world.shards()[t.shard].descriptor, stored.back().data(), t.stored_bytes,
+                static_cast<off_t>(t.offset)) != static_cast<ssize_t>(t.stored_bytes))
       return failed({ErrorCode::kIo, world.path(), "", "cannot read a strip", ""});
     auto strip = world.strip(t.id);
     if (!strip) return failed(strip.error());

@@ -16,7 +16,8 @@ using namespace runtime;
 
 void print(const std::string& metric, double value, const char* unit, double limit, const std::string& note,
            const std::string& backend) {
-  nlohmann::json j{{"metric", metric}, {"value", value}, {"unit", unit}, {"note", note}};
+  nlohmann::json j{{"metric", metric}, {"unit", unit}, {"note", note}};
+  j["value"] = std::isfinite(value) ? nlohmann::json(value) : nlohmann::json(nullptr);
   j["limit"] = std::isfinite(limit) ? nlohmann::json(limit) : nlohmann::json(nullptr);
   if (!backend.empty()) j["backend"] = backend;
   std::cout << j.dump() << std::endl;

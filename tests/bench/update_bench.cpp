@@ -2,52 +2,25 @@
 // after walks of up to 100,000 swaps (one node leaves, one enters). Truth is the direct solution in double precision on
 // the set that is in at the moment. Synthetic form factors (tests/runtime/walks.h). Prints JSON lines.
 #include <CLI/CLI.hpp>
-#include <chrono>
-#include <iostream>
-#include <nlohmann/json.hpp>
 
 #include "runtime/cpu_multibounce.h"
 #include "runtime/cpu_seed.h"
 #include "tests/bench/read_bandwidth.h"
+#include "tests/bench/tile_apply.h"
+#include "tests/bench/truth.h"
 #include "tests/runtime/walks.h"
 
 namespace {
 
 using namespace ff;
+using namespace ff::bench;
 using namespace ff::runtime;
-using Clock = std::chrono::steady_clock;
-
-double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
-double median(std::vector<double> v) {
-  std::sort(v.begin(), v.end());
-  return v[v.size() / 2];
-}
 std::string number(double x) {
   char text[32];
   std::snprintf(text, sizeof text, "%.3g", x);
   return text;
 }
 
-template <class T>
-T orExit(Result<T> result) {
-  if (!result) {
-    std::cerr << "ff_bench_update: " << result.error().line() << "\n";
-    std::exit(static_cast<int>(result.error().code));
-  }
-  return std::move(*result);
-}
-void orExit(const Result<void>& result) {
-  if (result) return;
-  std::cerr << "ff_bench_update: " << result.error().line() << "\n";
-  std::exit(static_cast<int>(result.error().code));
-}
-
-void print(const std::string& metric, double value, const char* unit, double limit, const std::string& note) {
-  nlohmann::json j{{"metric", metric}, {"unit", unit}, {"note", note}};
-  j["value"] = std::isfinite(value) ? nlohmann::json(value) : nlohmann::json(nullptr);
-  j["limit"] = std::isfinite(limit) ? nlohmann::json(limit) : nlohmann::json(nullptr);
-  std::cout << j.dump() << std::endl;
-}
 constexpr double kNoLimit = std::numeric_limits<double>::quiet_NaN();
 
 using Maker = Result<std::unique_ptr<BounceMatrix>> (*)(const MultibounceSettings&);
@@ -248,7 +221,7 @@ void speed(bool quick) {
   for (size_t c = 0; c < all.size(); ++c) {
     std::vector<double> fractions, relight;
     for (int repeat = 0; repeat < (quick ? 7 : 21); ++repeat) {
-      const double bandwidth = ff::bench::readBandwidth(pool, 1);
+      const double bandwidth = readBandwidth(pool, 1);
       const auto start = Clock::now();
       orExit(all[c].matrix->relight(source, irradiance));
       relight.push_back(msSince(start));
@@ -337,9 +310,12 @@ void run(bool quick) {
 
 int main(int argc, char** argv) {
   bool quick = false;
+  std::string world;
   CLI::App app{"Cost and drift of nodes that enter and leave the dense matrices. One JSON object a line."};
   app.add_flag("--quick", quick, "fewer swaps, no walks of M = 4096");
+  app.add_option("--world", world, "a baked town, for the cost of a tile; without it one is baked");
   CLI11_PARSE(app, argc, argv);
+  ff::bench::printTileApply(world, quick);
   run(quick);
   return 0;
 }
