@@ -1,73 +1,44 @@
-#include "runtime/vk_gather.h"
-
 #include <algorithm>
+#include <array>
+#include <cstring>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "gather_comp.h"
+#include "gather_enter_comp.h"
+#include "gather_kinds_comp.h"
+#include "gather_leave_comp.h"
 #include "refine_comp.h"
+#include "resolve_comp.h"
+#include "runtime/gather_layout.h"
+#include "runtime/page_table.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
+#include "runtime/vk_recorder.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kGatherBuffers = 6, kRefineBuffers = 3;  // bindings of gather.comp and refine.comp
-constexpr int kIterationsPerSubmit = 32;                    // keeps a submission far below a driver's watchdog
-constexpr VkPipelineStageFlags kCompute = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
-constexpr uint64_t kVectorBytes = 16;
+constexpr uint32_t kMostTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
+constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
+constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
+static_assert(shaders::kPageNodes == formats::kTileNodes);
 
-// The matrix as the shader reads it: rows of leaf slots only, each padded to whole uvec4 so that lanes load 16 bytes.
-struct PaddedRows {
-  // Rows whose entries lie in one bindable range.
-  struct Chunk {
-    uint32_t first_row = 0, rows = 0;
-    uint64_t first_vector = 0, vectors = 0;
-  };
-  std::vector<shaders::GatherRow> rows;  // `first` counts from the chunk's start
-  std::vector<uint32_t> entries;
-  std::vector<Chunk> chunks;
-};
+VkDescriptorBufferInfo whole(const Buffer& b) { return {b.handle(), 0, VK_WHOLE_SIZE}; }
 
-PaddedRows padRows(const LocalMatrix& m, uint64_t max_vectors, uint64_t align_vectors) {
-  PaddedRows p;
-  p.entries.reserve(m.entries.size() + size_t{2} * m.slots());
-  PaddedRows::Chunk chunk;
-  for (uint32_t slot = 0; slot < m.slots(); ++slot) {
-    if (!m.leaf[slot]) continue;
-    const uint32_t begin = m.row_start[slot], end = begin + m.row_entries[slot];
-    const uint32_t vectors = (end - begin + shaders::kEntriesPerLoad - 1) / shaders::kEntriesPerLoad;
-    if (chunk.vectors + vectors > max_vectors && chunk.rows > 0) {
-      p.chunks.push_back(chunk);
-      const uint64_t next =
-          (p.entries.size() / shaders::kEntriesPerLoad + align_vectors - 1) / align_vectors * align_vectors;
-      p.entries.resize(next * shaders::kEntriesPerLoad, 0);
-      chunk = {static_cast<uint32_t>(p.rows.size()), 0, next, 0};
-    }
-    p.rows.push_back({static_cast<uint32_t>(chunk.vectors), vectors, slot, m.row_scale[slot]});
-    p.entries.insert(p.entries.end(), m.entries.begin() + begin, m.entries.begin() + end);
-    // A count of zero adds nothing; the last column is already in the cache.
-    if (end > begin)
-      p.entries.resize((chunk.first_vector + chunk.vectors + vectors) * shaders::kEntriesPerLoad,
-                       m.entries[end - 1] & 0xffff0000u);
-    chunk.rows += 1;
-    chunk.vectors += vectors;
-  }
-  if (chunk.rows > 0) p.chunks.push_back(chunk);
-  return p;
+Error tooSmall(const std::string& message) {
+  return Error{ErrorCode::kIo, "", "vulkan", message, "raise the capacity", ErrorCause::kOutOfDeviceMemory};
 }
 
-class VulkanGather final : public Solver {
+class VulkanGather final : public VulkanRecorder {
  public:
-  VulkanGather(std::shared_ptr<VkContext> context, const VulkanGatherSettings& settings, ComputePipeline gather,
-               ComputePipeline refine)
-      : context_(std::move(context)), gather_(std::move(gather)), refine_(std::move(refine)) {
-    const uint64_t limit = context_->limits().maxStorageBufferRange;
-    max_binding_bytes_ = settings.max_binding_bytes ? std::min(settings.max_binding_bytes, limit) : limit;
-  }
+  VulkanGather(std::shared_ptr<VkContext> context, const VulkanGatherSettings& settings)
+      : context_(std::move(context)), settings_(settings) {}
+  ~VulkanGather() override;
+  Result<void> start();
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
@@ -76,171 +47,541 @@ class VulkanGather final : public Solver {
   Result<void> radiosity(std::span<Vec4> out) override;
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return name_.c_str(); }
+  Result<void> record(VkCommandBuffer commands, int iterations) override;
+  VkBuffer radiosityBuffer() const override { return output_.handle(); }
+  VkBuffer sourceBuffer() const override { return source_.handle(); }
+  uint64_t uploadedBytes() const override { return uploaded_bytes_; }
+  Result<std::vector<uint32_t>> row(uint32_t slot);
 
  private:
+  // A range of `jobs_` with what a dispatch over it needs.
+  struct Jobs {
+    uint32_t first, count, segment;
+  };
+  struct Level {  // spans of one level
+    uint32_t first, count, longest;
+  };
+  Result<void> makePipelines();
+  Result<void> makeBuffers();
   Result<void> makeSets();
-  void recordIteration(VkCommandBuffer commands) const;
+  std::byte* stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies);
+  Result<void> flush();
+  Result<void> stagePages(const LocalMatrix& m, const MatrixChange& change, bool all);
+  void listJobs(const MatrixChange& change, bool all);
+  void listSpans();
+  void recordCopies(VkCommandBuffer c);
+  void recordChange(VkCommandBuffer c);
+  void recordIteration(VkCommandBuffer c);
+  void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
+  void readTime(uint32_t frame, bool wait);
+  uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
+  void forgetStaged();
 
   std::shared_ptr<VkContext> context_;  // first: outlives everything below
-  ComputePipeline gather_, refine_;
+  VulkanGatherSettings settings_;
   std::string name_ = "vulkan: " + context_->deviceName();
-  uint64_t max_binding_bytes_ = 0;
-  Result<void> setMatrix(const LocalMatrix& m, std::span<const Vec4> warm_start);
-
-  const LocalMatrix* matrix_ = nullptr;
-  uint32_t slots_ = 0;  // of the buffers
-  std::vector<PaddedRows::Chunk> chunks_;
-  Buffer rows_, entries_, albedo_area_, source_, refined_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, refine_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, output_, staging_;
   Buffer radiosity_[2];
   uint32_t now_ = 0;  // radiosity_[now_] is the current one
   StorageSets sets_;
-  std::vector<VkDescriptorSet> gather_sets_[2];  // [now_][chunk]
-  VkDescriptorSet refine_set_[2] = {};           // [buffer to refine]
+  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
+  VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {};     // [radiosity buffer]
+  std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
+  VkQueryPool queries_ = VK_NULL_HANDLE;                       // two a frame in flight
+  uint64_t segment_bytes_ = 0;
+  uint32_t segments_ = 1;
+
+  GatherLayout layout_;
+  const LocalMatrix* matrix_ = nullptr;
+  uint32_t slots_ = 0;
+  std::vector<Level> levels_;  // finest first
+  // What the next record() does first.
+  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false;
+  uint32_t left_ = 0;
+  std::vector<shaders::TileJob> job_list_;
+  std::vector<shaders::SlotSpan> span_list_;
+  std::vector<Jobs> enter_jobs_, resolve_jobs_;
+  std::vector<VkBufferCopy> copies_to_packed_, copies_to_pages_, copies_to_jobs_, copies_to_spans_, copies_to_source_,
+      copies_to_radiosity_;
+  uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
+  std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
+  uint64_t uploaded_bytes_ = 0;
   double last_ms_ = 0;
 };
 
-Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
-  const bool all = std::exchange(matrix_, &m) != &m || change.renumbered;
-  std::vector<Vec4> start(all ? 0 : slots_);
-  if (!all)
-    if (auto read = radiosity(start); !read) return read;
-  start.resize(m.slots());
-  for (const uint32_t t : change.entered) {  // parents first
-    const SlotRange& range = m.tiles[t];
-    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s)
-      start[s] = m.parent_slot[s] != kNoSlot ? start[m.parent_slot[s]] : Vec4{};
+VulkanGather::~VulkanGather() {
+  if (queries_) vkDestroyQueryPool(context_->device(), queries_, nullptr);
+}
+
+Result<void> VulkanGather::start() {
+  const uint64_t range = context_->limits().maxStorageBufferRange;
+  const uint64_t most = settings_.max_binding_bytes ? std::min(settings_.max_binding_bytes, range) : range;
+  const uint64_t align = std::max<uint64_t>(256, context_->limits().minStorageBufferOffsetAlignment);
+  segment_bytes_ = std::min(most, settings_.entry_bytes) / align * align;
+  if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
+      settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMostTiles)
+    return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
+                 "give at least " + std::to_string(align) + " bytes, 1 to 65536 slots, 1 to 16383 tiles and 1 frame"};
+  segments_ = static_cast<uint32_t>((settings_.entry_bytes + segment_bytes_ - 1) / segment_bytes_);
+  if (settings_.packed_bytes > range || settings_.pages * kPageBytes > range)
+    return Error{ErrorCode::kUsage, "", "vulkan",
+                 "packed rows or pages exceed the " + std::to_string(range >> 20) + " MiB that the device binds",
+                 "lower packed_bytes or pages"};
+  layout_ = GatherLayout({settings_.packed_bytes / 4, segment_bytes_ / kVectorBytes, segments_, settings_.tiles});
+  job_list_.reserve(size_t{4} * settings_.tiles);
+  span_list_.reserve(settings_.tiles);
+  for (auto* list : {&enter_jobs_, &resolve_jobs_}) list->reserve(formats::kMaxLevels + segments_);
+  levels_.reserve(formats::kMaxLevels);
+  copies_to_packed_.reserve(settings_.tiles);
+  copies_to_pages_.reserve(settings_.pages);
+  timed_.assign(settings_.frames_in_flight, 0);
+  if (auto r = makePipelines(); !r) return r;
+  if (auto r = makeBuffers(); !r) return r;
+  if (auto r = makeSets(); !r) return r;
+  if (context_->hasTimestamps()) {
+    auto info = zeroed<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
+    info.queryType = VK_QUERY_TYPE_TIMESTAMP;
+    info.queryCount = 2 * settings_.frames_in_flight;
+    if (const VkResult r = vkCreateQueryPool(context_->device(), &info, nullptr, &queries_); r != VK_SUCCESS)
+      return vkError("vkCreateQueryPool", r);
   }
-  return setMatrix(m, start);
+  auto cleared = context_->run([&](VkCommandBuffer c) {
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &output_, &radiosity_[0], &radiosity_[1], &kinds_})
+      vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
+    vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
+  });
+  if (!cleared) return cleared.error();
+  return {};
 }
 
-Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
-  FF_CHECK_EQ(radiosity.size(), size_t{slots_});
-  return upload(*context_, radiosity_[now_], 0, std::as_bytes(radiosity));
-}
-
-Result<void> VulkanGather::setMatrix(const LocalMatrix& m, std::span<const Vec4> warm_start) {
-  FF_CHECK_LT(0u, m.slots());
-  if (!warm_start.empty()) FF_CHECK_EQ(warm_start.size(), size_t{m.slots()});
-  const uint64_t align = std::max(kVectorBytes, uint64_t{context_->limits().minStorageBufferOffsetAlignment});
-  PaddedRows padded = padRows(m, max_binding_bytes_ / kVectorBytes, align / kVectorBytes);
-  for (const auto& c : padded.chunks)
-    if (c.vectors * kVectorBytes > max_binding_bytes_)
-      return Error{ErrorCode::kUsage, "", "vulkan", "one row of the matrix exceeds max_binding_bytes", "raise it"};
-
-  std::vector<Vec4> albedo_area(m.albedo);
-  for (uint32_t i = 0; i < m.slots(); ++i) albedo_area[i].w = m.area_m2[i];
-  std::vector<shaders::RefinedSlot> refined;
-  refined.reserve(m.refined.size());
-  for (const auto& r : m.refined) refined.push_back({r.slot, r.first_child, r.children});
-  const std::vector<Vec4> zero(m.slots());
-
-  // New buffers replace the old ones only when all of them exist, so that a failure leaves the last matrix in place.
-  auto rows = makeBuffer(*context_, std::span<const shaders::GatherRow>(padded.rows));
-  auto entries = makeBuffer(*context_, std::span<const uint32_t>(padded.entries));
-  auto albedo = makeBuffer(*context_, std::span<const Vec4>(albedo_area));
-  auto refined_list = makeBuffer(*context_, std::span<const shaders::RefinedSlot>(refined));
-  auto source = makeBuffer(*context_, std::span<const Vec4>(zero));
-  auto first = makeBuffer(*context_, warm_start.empty() ? std::span<const Vec4>(zero) : warm_start);
-  auto second = makeBuffer(*context_, std::span<const Vec4>(zero));
-  for (auto* b : {&rows, &entries, &albedo, &refined_list, &source, &first, &second})
-    if (!*b) return b->error();
-  rows_ = std::move(*rows);
-  entries_ = std::move(*entries);
-  albedo_area_ = std::move(*albedo);
-  refined_ = std::move(*refined_list);
-  source_ = std::move(*source);
-  radiosity_[0] = std::move(*first);
-  radiosity_[1] = std::move(*second);
-  now_ = 0;
-  chunks_ = std::move(padded.chunks);
-  slots_ = m.slots();
-  return makeSets();
-}
-
-Result<void> VulkanGather::makeSets() {
-  const auto chunks = static_cast<uint32_t>(chunks_.size());
-  auto sets = StorageSets::create(*context_, 2 * chunks + 2, 2 * chunks * kGatherBuffers + 2 * kRefineBuffers);
-  if (!sets) return sets.error();
-  sets_ = std::move(*sets);
-  const auto whole = [](const Buffer& b) { return VkDescriptorBufferInfo{b.handle(), 0, VK_WHOLE_SIZE}; };
-  for (uint32_t now = 0; now < 2; ++now) {
-    gather_sets_[now].clear();
-    for (const auto& c : chunks_) {
-      const VkDescriptorBufferInfo range{entries_.handle(), c.first_vector * kVectorBytes,
-                                         std::max<uint64_t>(c.vectors, 1) * kVectorBytes};
-      const VkDescriptorBufferInfo buffers[kGatherBuffers] = {
-          whole(rows_), range, whole(albedo_area_), whole(source_), whole(radiosity_[now]), whole(radiosity_[1 - now])};
-      auto set = sets_.make(gather_.setLayout(), buffers);
-      if (!set) return set.error();
-      gather_sets_[now].push_back(*set);
-    }
-    const VkDescriptorBufferInfo buffers[kRefineBuffers] = {whole(refined_), whole(albedo_area_),
-                                                            whole(radiosity_[now])};
-    auto set = sets_.make(refine_.setLayout(), buffers);
-    if (!set) return set.error();
-    refine_set_[now] = *set;
+Result<void> VulkanGather::makePipelines() {
+  struct Wanted {
+    ComputePipeline* pipeline;
+    std::span<const uint32_t> words;
+    uint32_t buffers;
+    size_t push_bytes;
+  };
+  const Wanted list[] = {{&leave_, gather_leave_comp, 2, sizeof(shaders::JobPush)},
+                         {&enter_, gather_enter_comp, 6, sizeof(shaders::JobPush)},
+                         {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
+                         {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
+                         {&gather_, gather_comp, 7, sizeof(shaders::GatherPush)},
+                         {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)}};
+  for (const Wanted& w : list) {
+    auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes));
+    if (!made) return made.error();
+    *w.pipeline = std::move(*made);
   }
   return {};
 }
 
-Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
-  FF_CHECK_EQ(source.size(), size_t{slots_});
-  return upload(*context_, source_, 0, std::as_bytes(source));
+Result<void> VulkanGather::makeBuffers() {
+  const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
+  const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
+  // All that one frame can bring: the whole cut, every page, light and radiosity.
+  region_bytes_ = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 2 * slots * sizeof(Vec4);
+  struct Wanted {
+    Buffer* buffer;
+    uint64_t bytes;
+    MemoryUse use = MemoryUse::kDevice;
+  };
+  const Wanted list[] = {{&rows_, slots * sizeof(shaders::GatherRow)},
+                         {&entries_, segments_ * segment_bytes_},
+                         {&packed_, settings_.packed_bytes},
+                         {&pages_, settings_.pages * kPageBytes},
+                         {&albedo_, slots * sizeof(Vec4)},
+                         {&parents_, slots * sizeof(uint32_t)},
+                         {&kinds_, slots * sizeof(uint32_t)},
+                         {&source_, slots * sizeof(Vec4)},
+                         {&jobs_, jobs},
+                         {&spans_, spans},
+                         {&output_, slots * sizeof(Vec4)},
+                         {&radiosity_[0], slots * sizeof(Vec4)},
+                         {&radiosity_[1], slots * sizeof(Vec4)},
+                         {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost}};
+  for (const Wanted& w : list) {
+    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
+    if (!b) return b.error();
+    *w.buffer = std::move(*b);
+  }
+  return {};
 }
 
-void VulkanGather::recordIteration(VkCommandBuffer commands) const {
-  const uint32_t max_groups = context_->limits().maxComputeWorkGroupCount[0];
-  const uint32_t rows_per_group = std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize()));
-  for (size_t i = 0; i < chunks_.size(); ++i) {  // chunks write different slots: no barrier between them
-    const shaders::GatherPush push{chunks_[i].first_row, chunks_[i].rows};
-    gather_.dispatch(commands, gather_sets_[now_][i], &push,
-                     std::min((push.rows + rows_per_group - 1) / rows_per_group, max_groups));
+Result<void> VulkanGather::makeSets() {
+  auto sets = StorageSets::create(*context_, 6 + 3 * segments_, 2 + 2 + 12 + 8 + segments_ * (6 + 14));
+  if (!sets) return sets.error();
+  sets_ = std::move(*sets);
+  Result<void> failed;
+  const auto make = [&](const ComputePipeline& pipeline, std::initializer_list<VkDescriptorBufferInfo> buffers) {
+    auto set = sets_.make(pipeline.setLayout(), std::span(buffers.begin(), buffers.size()));
+    if (set) return *set;
+    failed = set.error();
+    return VkDescriptorSet{VK_NULL_HANDLE};
+  };
+  leave_set_ = make(leave_, {whole(jobs_), whole(parents_)});
+  kinds_set_ = make(kinds_pass_, {whole(parents_), whole(kinds_)});
+  for (uint32_t i = 0; i < 2; ++i) {
+    enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
+                                  whole(radiosity_[i])});
+    refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(albedo_), whole(radiosity_[i])});
   }
-  for (size_t l = 0; l + 1 < matrix_->refined_level_start.size(); ++l) {
-    const shaders::RefinePush push{matrix_->refined_level_start[l],
-                                   matrix_->refined_level_start[l + 1] - matrix_->refined_level_start[l]};
-    if (push.count == 0) continue;
-    barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kCompute, VK_ACCESS_SHADER_READ_BIT);
-    refine_.dispatch(commands, refine_set_[1 - now_], &push,
-                     (push.count + shaders::kRefineGroup - 1) / shaders::kRefineGroup);
+  for (uint32_t s = 0; s < segments_; ++s) {
+    const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
+    resolve_sets_.push_back(make(resolve_, {whole(jobs_), whole(packed_), whole(pages_), whole(kinds_), whole(rows_), segment}));
+    for (uint32_t now = 0; now < 2; ++now)
+      gather_sets_[now].push_back(make(gather_, {whole(rows_), segment, whole(albedo_), whole(source_),
+                                                 whole(radiosity_[now]), whole(radiosity_[1 - now]), whole(kinds_)}));
   }
-  // The next iteration reads what this one wrote, and overwrites what this one read.
-  barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kCompute,
-          VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
+  return failed;
+}
+
+// Room in this frame's region and the copy from there, which the next record() makes.
+std::byte* VulkanGather::stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies) {
+  const uint64_t from = frame_ % settings_.frames_in_flight * region_bytes_ + region_used_;
+  FF_CHECK_LE(region_used_ + bytes, region_bytes_);
+  FF_CHECK_LE(at + bytes, to.bytes());
+  region_used_ += bytes;
+  uploaded_bytes_ += bytes;
+  copies.push_back({from, at, bytes});
+  return staging_.mapped() + from;
+}
+
+// A change that was not recorded yet goes to the device now.
+Result<void> VulkanGather::flush() {
+  if (!changed_ && !has_source_ && !has_radiosity_) return {};
+  Result<void> recorded;
+  auto ms = context_->run([&](VkCommandBuffer c) { recorded = record(c, 0); });
+  if (!recorded) return recorded;
+  if (!ms) return ms.error();
+  return {};
+}
+
+// After an update that failed half-way.
+void VulkanGather::forgetStaged() {
+  for (auto* list : {&copies_to_packed_, &copies_to_pages_, &copies_to_jobs_, &copies_to_spans_, &copies_to_source_,
+                     &copies_to_radiosity_})
+    list->clear();
+  region_used_ = 0;
+  changed_ = all_ = has_source_ = has_radiosity_ = false;
+}
+
+Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
+  if (!matrix_) forgetStaged();
+  if (auto r = flush(); !r) return r;
+  const bool by_hand = !m.pages;
+  if (matrix_ == &m && !change.any && !by_hand) return {};
+  const bool all = std::exchange(matrix_, nullptr) != &m || change.renumbered || by_hand;
+  FF_CHECK_LT(0u, m.slots());
+  if (m.slots() > settings_.slots)
+    return tooSmall(std::to_string(m.slots()) + " slots, room was made for " + std::to_string(settings_.slots));
+  if (auto r = layout_.update(m, all); !r) return r;
+  if (auto r = stagePages(m, change, all); !r) return r;
+  for (const GatherLayout::Tile& tile : layout_.tiles())
+    if (tile.placed)
+      GatherLayout::write(m, tile,
+                          reinterpret_cast<uint32_t*>(stage(packed_, tile.packed_at * 4, tile.packed_words * 4, copies_to_packed_)));
+  matrix_ = &m;
+  listJobs(change, all);
+  listSpans();
+  if (!job_list_.empty())
+    std::memcpy(stage(jobs_, 0, job_list_.size() * sizeof(shaders::TileJob), copies_to_jobs_), job_list_.data(),
+                job_list_.size() * sizeof(shaders::TileJob));
+  if (!span_list_.empty())
+    std::memcpy(stage(spans_, 0, span_list_.size() * sizeof(shaders::SlotSpan), copies_to_spans_), span_list_.data(),
+                span_list_.size() * sizeof(shaders::SlotSpan));
+  slots_ = m.slots();
+  changed_ = true;
+  all_ = all;
+  return {};
+}
+
+Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& change, bool all) {
+  const auto put = [&](uint32_t number, auto&& slot_of) {
+    auto* page = reinterpret_cast<uint16_t*>(stage(pages_, number * kPageBytes, kPageBytes, copies_to_pages_));
+    for (uint32_t i = 0; i < shaders::kPageNodes; ++i) page[i] = slot_of(i);
+  };
+  if (!m.pages) {  // made by hand: pages in the order of slots
+    const uint32_t pages = groupsOf(m.slots(), shaders::kPageNodes);
+    if (pages > settings_.pages) return tooSmall("more pages than room was made for");
+    for (uint32_t p = 0; p < pages; ++p)
+      put(p, [p](uint32_t i) { return static_cast<uint16_t>(p * shaders::kPageNodes + i); });
+    return {};
+  }
+  if (m.pages->pages().size() > settings_.pages)
+    return tooSmall(std::to_string(m.pages->pages().size()) + " pages, room was made for " +
+                    std::to_string(settings_.pages));
+  const auto copy = [&](uint32_t number) {
+    const PageTable::Page& page = m.pages->page(number);
+    put(number, [&](uint32_t i) { return page[i]; });
+  };
+  if (all)
+    for (uint32_t p = 0; p < m.pages->pages().size(); ++p) copy(p);
+  else
+    for (const uint32_t p : change.pages) copy(p);
+  return {};
+}
+
+// Tiles that left, those to take up (coarsest level first, a dispatch a level), those to resolve (a dispatch a segment).
+void VulkanGather::listJobs(const MatrixChange& change, bool all) {
+  const std::span<const GatherLayout::Tile> tiles = layout_.tiles();
+  job_list_.clear();
+  enter_jobs_.clear();
+  resolve_jobs_.clear();
+  if (!all)
+    for (const SlotRange& range : change.left) job_list_.push_back({range.first_slot, range.nodes, 0, 0, 0, 0, 0, 0});
+  left_ = static_cast<uint32_t>(job_list_.size());
+  const auto add = [&](const GatherLayout::Tile& tile, uint32_t start) {
+    job_list_.push_back({tile.range.first_slot, tile.range.nodes, tile.segment, static_cast<uint32_t>(tile.packed_at),
+                         tile.pages_at, tile.words_at, static_cast<uint32_t>(tile.entries_at), start});
+  };
+  bool any_placed_anew = false;
+  uint32_t level = kNoSlot;
+  for (size_t t = tiles.size(); t-- > 0;) {
+    const GatherLayout::Tile& tile = tiles[t];
+    if (!tile.placed) continue;
+    any_placed_anew = any_placed_anew || !tile.entered;
+    if (enter_jobs_.empty() || tile.range.id.level != level)
+      enter_jobs_.push_back({static_cast<uint32_t>(job_list_.size()), 0, 0});
+    level = tile.range.id.level;
+    ++enter_jobs_.back().count;
+    add(tile, all ? shaders::kStartZero : tile.entered ? shaders::kStartParent : shaders::kStartKept);
+  }
+  for (uint32_t s = 0; s < segments_; ++s) {
+    const Jobs jobs{static_cast<uint32_t>(job_list_.size()), 0, s};
+    const auto resolve = [&](const GatherLayout::Tile& tile) {
+      if (tile.segment == s) add(tile, shaders::kStartKept);
+    };
+    if (all || any_placed_anew)
+      std::for_each(tiles.begin(), tiles.end(), resolve);
+    else
+      for (const uint32_t t : change.rows) resolve(tiles[t]);
+    if (job_list_.size() == jobs.first) continue;
+    resolve_jobs_.push_back(jobs);
+    resolve_jobs_.back().count = static_cast<uint32_t>(job_list_.size()) - jobs.first;
+  }
+}
+
+// The slots whose parents are refined, level by level from the finest.
+void VulkanGather::listSpans() {
+  span_list_.clear();
+  levels_.clear();
+  const LocalMatrix& m = *matrix_;
+  const auto add = [&](uint32_t first, uint32_t slots) {
+    span_list_.push_back({first, slots});
+    ++levels_.back().count;
+    levels_.back().longest = std::max(levels_.back().longest, slots);
+  };
+  if (!m.pages) {
+    for (size_t l = 0; l + 1 < m.refined_level_start.size(); ++l) {
+      levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
+      for (uint32_t r = m.refined_level_start[l]; r < m.refined_level_start[l + 1]; ++r)
+        add(m.refined[r].first_child, m.refined[r].children);
+    }
+    return;
+  }
+  uint32_t level = kNoSlot;
+  for (const SlotRange& range : m.tiles) {
+    if (range.id.level != level) levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
+    level = range.id.level;
+    add(range.first_slot, range.nodes);
+  }
+  if (!levels_.empty() && m.parent_slot[m.tiles.back().first_slot] == kNoSlot) {  // the top level has no parents
+    span_list_.resize(levels_.back().first);
+    levels_.pop_back();
+  }
+}
+
+Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
+  FF_CHECK_EQ(source.size(), size_t{slots_});
+  if (has_source_) {  // twice in a frame: the later counts
+    std::memcpy(staging_.mapped() + copies_to_source_.back().srcOffset, source.data(), source.size_bytes());
+    return {};
+  }
+  std::memcpy(stage(source_, 0, source.size_bytes(), copies_to_source_), source.data(), source.size_bytes());
+  has_source_ = true;
+  return {};
+}
+
+Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
+  FF_CHECK_EQ(radiosity.size(), size_t{slots_});
+  auto* to = reinterpret_cast<Vec4*>(
+      has_radiosity_ ? staging_.mapped() + copies_to_radiosity_.back().srcOffset
+                     : stage(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
+  for (size_t s = 0; s < radiosity.size(); ++s) to[s] = {radiosity[s].x, radiosity[s].y, radiosity[s].z, 0};
+  has_radiosity_ = true;
+  return {};
+}
+
+void VulkanGather::recordCopies(VkCommandBuffer c) {
+  const auto copy = [&](std::vector<VkBufferCopy>& list, const Buffer& to) {
+    if (!list.empty())
+      vkCmdCopyBuffer(c, staging_.handle(), to.handle(), static_cast<uint32_t>(list.size()), list.data());
+    list.clear();
+  };
+  copy(copies_to_packed_, packed_);
+  copy(copies_to_pages_, pages_);
+  copy(copies_to_jobs_, jobs_);
+  copy(copies_to_spans_, spans_);
+  copy(copies_to_source_, source_);
+  if (all_) vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
+}
+
+void VulkanGather::dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set,
+                                const Jobs& jobs) const {
+  // resolve.comp takes as many nodes at once as a group has subgroups, and goes on until the tile is done.
+  const uint32_t at_once = &pipeline == &resolve_ ? rowsPerGroup() : shaders::kGatherGroup;
+  const uint32_t most = std::max(1u, context_->limits().maxComputeWorkGroupCount[0] / jobs.count);
+  const shaders::JobPush push{jobs.first, jobs.count, std::min(groupsOf(formats::kTileNodes, at_once), most)};
+  pipeline.dispatch(c, set, &push, jobs.count * push.groups);
+}
+
+void VulkanGather::recordChange(VkCommandBuffer c) {
+  if (left_ > 0) dispatchJobs(c, leave_, leave_set_, {0, left_, 0});
+  separate(c);
+  for (const Jobs& jobs : enter_jobs_) {
+    dispatchJobs(c, enter_, enter_set_[now_], jobs);
+    separate(c);
+  }
+  for (uint32_t pass = 0; pass < 2; ++pass) {
+    const shaders::JobPush push{0, slots_, pass};
+    kinds_pass_.dispatch(c, kinds_set_, &push, groupsOf(slots_, shaders::kGatherGroup));
+    separate(c);
+  }
+  for (const Jobs& jobs : resolve_jobs_) dispatchJobs(c, resolve_, resolve_sets_[jobs.segment], jobs);
+  separate(c);
+}
+
+void VulkanGather::recordIteration(VkCommandBuffer c) {
+  for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
+    const shaders::GatherPush push{slots_, s};
+    gather_.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+  }
+  // The next step reads what this one wrote, the next iteration overwrites what this one read.
+  separate(c);
+  for (const Level& level : levels_) {
+    const uint32_t groups = groupsOf(level.longest, shaders::kRefineGroup);
+    const shaders::RefinePush push{level.first, groups};
+    refine_.dispatch(c, refine_set_[1 - now_], &push, level.count * groups);
+    separate(c);
+  }
+  now_ = 1 - now_;
+}
+
+void VulkanGather::readTime(uint32_t frame, bool wait) {
+  if (!queries_ || !timed_[frame]) return;
+  uint64_t ticks[2] = {};
+  const VkQueryResultFlags flags = VK_QUERY_RESULT_64_BIT | (wait ? VK_QUERY_RESULT_WAIT_BIT : 0);
+  if (vkGetQueryPoolResults(context_->device(), queries_, 2 * frame, 2, sizeof(ticks), ticks, sizeof(uint64_t), flags) !=
+      VK_SUCCESS)
+    return;
+  last_ms_ = static_cast<double>(ticks[1] - ticks[0]) * static_cast<double>(context_->limits().timestampPeriod) * 1e-6;
+}
+
+Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
+  FF_CHECK_EQ(matrix_ != nullptr, true);
+  const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
+  readTime(frame, false);
+  separate(c);
+  recordCopies(c);
+  separate(c);
+  if (changed_) recordChange(c);
+  if (has_radiosity_) {
+    vkCmdCopyBuffer(c, staging_.handle(), radiosity_[now_].handle(), 1, copies_to_radiosity_.data());
+    copies_to_radiosity_.clear();
+    separate(c);
+  }
+  changed_ = all_ = has_source_ = has_radiosity_ = false;
+  left_ = 0;
+  if (queries_) {
+    vkCmdResetQueryPool(c, queries_, 2 * frame, 2);
+    vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 2 * frame);
+  }
+  for (int i = 0; i < iterations; ++i) recordIteration(c);
+  if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 2 * frame + 1);
+  timed_[frame] = 1;
+  const VkBufferCopy out{0, 0, slots_ * sizeof(Vec4)};
+  vkCmdCopyBuffer(c, radiosity_[now_].handle(), output_.handle(), 1, &out);
+  barrier(c, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+          VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
+  ++frame_;
+  region_used_ = 0;
+  return {};
 }
 
 Result<void> VulkanGather::iterate(int k) {
-  last_ms_ = 0;
+  double ms = 0;
   for (int done = 0; done < k;) {
     const int n = std::min(k - done, kIterationsPerSubmit);
-    auto ms = context_->run([&](VkCommandBuffer commands) {
-      for (int i = 0; i < n; ++i) {
-        recordIteration(commands);
-        now_ = 1 - now_;
-      }
-    });
-    if (!ms) return ms.error();
-    last_ms_ += *ms;
+    const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
+    Result<void> recorded;
+    auto took = context_->run([&](VkCommandBuffer c) { recorded = record(c, n); });
+    if (!recorded) return recorded;
+    if (!took) return took.error();
+    last_ms_ = *took;
+    readTime(frame, true);
+    ms += last_ms_;
     done += n;
   }
+  last_ms_ = ms;
   return {};
 }
 
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {
   FF_CHECK_EQ(out.size(), size_t{slots_});
-  return download(*context_, radiosity_[now_], 0, std::as_writable_bytes(out));
+  if (auto r = flush(); !r) return r;
+  return download(*context_, output_, 0, std::as_writable_bytes(out));
+}
+
+Result<std::vector<uint32_t>> VulkanGather::row(uint32_t slot) {
+  if (auto r = flush(); !r) return r.error();
+  shaders::GatherRow row{};
+  if (auto r = download(*context_, rows_, slot * sizeof(row), std::as_writable_bytes(std::span(&row, 1))); !r)
+    return r.error();
+  std::vector<uint32_t> entries(row.entries);
+  if (auto r = download(*context_, entries_, row.segment * segment_bytes_ + row.first * kVectorBytes,
+                        std::as_writable_bytes(std::span(entries)));
+      !r)
+    return r.error();
+  return entries;
 }
 
 }  // namespace
 
+VulkanGatherSettings gatherRoomFor(const formats::World& world) {
+  uint64_t nodes = 0, entries = 0, tiles = 0;
+  for (uint32_t level = 0; level < world.levels().size(); ++level) {
+    nodes += world.levels()[level].nodes;
+    entries += world.levels()[level].entries;
+    tiles += world.tiles(level).size();
+  }
+  const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots), a_row = entries / std::max<uint64_t>(nodes, 1) + 1;
+  VulkanGatherSettings s;
+  s.slots = static_cast<uint32_t>(in_cut);
+  s.tiles = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 4096));
+  s.pages = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 65536));
+  // A word an entry, about a run of one word for every four of them; row starts and nodes 32 bytes.
+  s.packed_bytes = ((a_row * 3 + 32) * in_cut + tiles * 8) * 3 / 2 + (1 << 16);
+  s.entry_bytes = (a_row + 2 * shaders::kEntriesPerLoad) * 4 * in_cut * 3 / 2 + (1 << 16);
+  return s;
+}
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
+                                                           const VulkanGatherSettings& settings) {
+  auto gather = std::make_unique<VulkanGather>(std::move(context), settings);
+  if (auto r = gather->start(); !r) return r.error();
+  return std::unique_ptr<VulkanRecorder>(std::move(gather));
+}
+
 Result<std::unique_ptr<Solver>> makeVulkanGather(std::shared_ptr<VkContext> context,
                                                  const VulkanGatherSettings& settings) {
-  auto gather = ComputePipeline::create(*context, gather_comp, kGatherBuffers, sizeof(shaders::GatherPush));
-  if (!gather) return gather.error();
-  auto refine = ComputePipeline::create(*context, refine_comp, kRefineBuffers, sizeof(shaders::RefinePush));
-  if (!refine) return refine.error();
-  return std::unique_ptr<Solver>(
-      std::make_unique<VulkanGather>(std::move(context), settings, std::move(*gather), std::move(*refine)));
+  auto recorder = makeVulkanRecorder(std::move(context), settings);
+  if (!recorder) return recorder.error();
+  return std::unique_ptr<Solver>(std::move(*recorder));
+}
+
+Result<std::vector<uint32_t>> resolvedRow(VulkanRecorder& recorder, uint32_t slot) {
+  return static_cast<VulkanGather&>(recorder).row(slot);
 }
 
 }  // namespace ff::runtime

@@ -1,9 +1,10 @@
 # The Vulkan half of the room. Callers link ff_runtime_vulkan; only those that include vk_device.h need vulkan.h.
-ff_room(ff_runtime_vulkan vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_multibounce.cpp vk_pipeline.cpp
+ff_room(ff_runtime_vulkan gather_layout.cpp vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_multibounce.cpp vk_pipeline.cpp
         vk_plain_local.cpp vk_seed.cpp)
 target_link_libraries(ff_runtime_vulkan PUBLIC ff_runtime PRIVATE Vulkan::Vulkan)
-ff_embed_spirv(ff_runtime_vulkan shaders/gather.comp NAME gather_comp)
-ff_embed_spirv(ff_runtime_vulkan shaders/refine.comp NAME refine_comp)
+foreach(step gather gather_enter gather_kinds gather_leave refine resolve)
+  ff_embed_spirv(ff_runtime_vulkan shaders/${step}.comp NAME ${step}_comp)
+endforeach()
 foreach(step tall wide scatter corner solve apply fold relight pending changed)
   ff_embed_spirv(ff_runtime_vulkan shaders/bounce_${step}.comp NAME bounce_${step}_comp)
 endforeach()

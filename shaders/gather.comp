@@ -15,22 +15,25 @@ layout(std430, binding = 2) readonly buffer Albedo { vec4 albedo[]; };  // w: ar
 layout(std430, binding = 3) readonly buffer Source { vec4 source[]; };
 layout(std430, binding = 4) readonly buffer Before { vec4 before[]; };
 layout(std430, binding = 5) buffer After { vec4 after[]; };
+layout(std430, binding = 6) readonly buffer Kinds { uint kinds[]; };
 
 vec3 term(uint entry) { return float(entry & 0xffffu) * before[entry >> 16].rgb; }
 
 void main() {
   const uint lanes = subgroupAdd(1u);
   const uint lane = subgroupExclusiveAdd(1u);
-  for (uint r = gl_WorkGroupID.x * gl_NumSubgroups + gl_SubgroupID; r < push.rows;
-       r += gl_NumWorkGroups.x * gl_NumSubgroups) {
-    const GatherRow row = rows[push.first_row + r];
+  for (uint slot = gl_WorkGroupID.x * gl_NumSubgroups + gl_SubgroupID; slot < push.slots;
+       slot += gl_NumWorkGroups.x * gl_NumSubgroups) {
+    if (kinds[slot] != kLeaf) continue;
+    const GatherRow row = rows[slot];
+    if (row.segment != push.segment) continue;
+    const uint vectors = (row.entries + kEntriesPerLoad - 1u) / kEntriesPerLoad;
     vec3 sum = vec3(0);
-    for (uint v = lane; v < row.vectors; v += lanes) {
+    for (uint v = lane; v < vectors; v += lanes) {
       const uvec4 e = entries[row.first + v];
       sum += (term(e.x) + term(e.y)) + (term(e.z) + term(e.w));
     }
     sum = subgroupAdd(sum);
-    if (lane == 0u)
-      after[row.slot] = vec4(source[row.slot].rgb + albedo[row.slot].rgb * (row.scale * sum), 0);
+    if (lane == 0u) after[slot] = vec4(source[slot].rgb + albedo[slot].rgb * (row.scale * sum), 0);
   }
 }

@@ -18,30 +18,57 @@ struct alignas(16) mat4 {
 #define FF_CONST const
 #endif
 
-// --- gather.comp, refine.comp ---
+// --- gather*.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
+FF_CONST uint kPageNodes = 256u;        // slots in a page of the page table, two to a word
+FF_CONST uint kNodeWords = 6u;          // of a packed tile: albedo r, g, b, area, 1 / Q, parent's slot
+FF_CONST uint kTopSlot = 0xffffffffu;   // for a parent's slot: there is none
+FF_CONST uint kFreeSlot = 0xfffffffeu;  // the slot itself is free
+FF_CONST uint kLeaf = 1u;               // kinds of slots; 0: free
+FF_CONST uint kRefined = 2u;
 
-// A leaf slot's row in the padded entry array.
+// A slot's row among the resolved entries.
 struct GatherRow {
-  uint first;   // in uvec4 from the start of the bound range
-  uint vectors; // uvec4 of the row
-  uint slot;
-  float scale;  // 1 / Q
+  uint first;    // in uvec4 from the start of the segment
+  uint entries;
+  uint segment;  // of the entries: what one binding holds
+  float scale;   // 1 / Q
+};
+// A tile to take up or to resolve. Its words in the packed buffer: run_start and row_start (nodes + 1 each), the nodes, the
+// runs (words << 16 | partner), the page of each partner, then 16-bit words (column << 8 | count), two to a word.
+struct TileJob {
+  uint first_slot;
+  uint nodes;
+  uint segment;
+  uint packed_at;   // word of the packed buffer
+  uint pages_at;    // from packed_at
+  uint words_at;    // from packed_at
+  uint entries_at;  // uvec4 of the segment
+  uint start;       // radiosity of its nodes: kStartKept ...
+};
+FF_CONST uint kStartKept = 0u;
+FF_CONST uint kStartParent = 1u;  // the parent's; from zero at the top level
+FF_CONST uint kStartZero = 2u;
+
+struct JobPush {
+  uint first;  // job
+  uint count;  // jobs; slots in gather_kinds.comp
+  uint groups; // work groups a job; the pass in gather_kinds.comp
 };
 struct GatherPush {
-  uint first_row;
-  uint rows;
+  uint slots;
+  uint segment;
 };
-struct RefinedSlot {
-  uint slot;
-  uint first_child;
-  uint children;
+// Consecutive slots; those with one parent are neighbours, and none of their siblings is outside.
+struct SlotSpan {
+  uint first_slot;
+  uint slots;
 };
 struct RefinePush {
-  uint first;  // into the list of refined slots
-  uint count;
+  uint first;   // span
+  uint groups;  // work groups a span
 };
 
 // --- bounce_*.comp: the dense multi-bounce matrix; runtime/vk_multibounce.cpp has the formulas ---

@@ -246,7 +246,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     if (options.solve_on_cpu) {
       solver = runtime::makeCpuGather();
     } else {
-      auto made = runtime::makeVulkanGather(*context);
+      auto made = runtime::makeVulkanGather(*context, runtime::gatherRoomFor(*world));
       if (!made) return made.error();
       solver = std::move(*made);
     }

@@ -263,12 +263,15 @@ TEST_F(VkGather, HandlesAllSlotsThatAnEntryCanName) {
 
 TEST_F(VkGather, SplitsEntriesThatExceedTheBindingRange) {
   const LocalMatrix m = randomMatrix(1500, 200, 2, 9);
-  const uint64_t largest_row = 200 * sizeof(uint32_t) + 16;
-  for (uint64_t bytes : {largest_row, 3 * largest_row + 48, uint64_t{100000}})
-    expectAgrees(m, 6, {.max_binding_bytes = bytes});
-  auto solver = makeVulkanGather(context_, {.max_binding_bytes = 64});
-  ASSERT_TRUE(solver);
-  EXPECT_FALSE(setMatrix(**solver, m));
+  // 256 rows of a tile stay together: 200 entries each at most, in up to 16 words more, and room to round up.
+  const uint64_t largest_tile = 256 * (200 + 16 + 8) * sizeof(uint32_t);
+  for (uint64_t bytes : {largest_tile, 2 * largest_tile + 48, uint64_t{1} << 20})
+    expectAgrees(m, 6, {.entry_bytes = 8 * largest_tile, .max_binding_bytes = bytes});
+  auto solver = makeVulkanGather(context_, {.entry_bytes = 1 << 16, .max_binding_bytes = 1024});
+  ASSERT_TRUE(solver) << solver.error().line();
+  const auto refused = setMatrix(**solver, m);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().cause, ErrorCause::kOutOfDeviceMemory);
 }
 
 TEST_F(VkGather, TakesAnotherMatrixAndForgetsTheLast) {

@@ -1,0 +1,35 @@
+// The gather solver for engines: a frame's work goes into the caller's command buffer, nothing waits.
+//
+// Per frame: update() where the cut changed, setSource() where the light changed, then record(). These write to a ring of
+// `frames_in_flight` staging regions: when a frame begins, the command buffer recorded frames_in_flight records ago must
+// have finished. Command buffers must run in the order in which they were recorded, on one queue.
+#pragma once
+#include <vulkan/vulkan.h>
+
+#include <memory>
+
+#include "runtime/vk_gather.h"
+
+namespace ff::runtime {
+
+class VkContext;
+
+class VulkanRecorder : public Solver {
+ public:
+  // Records uploads, resolving and k iterations, outside of a render pass. What it writes is visible to all later commands.
+  // A second update() before a record() waits for the device to take up the first; so does radiosity().
+  virtual Result<void> record(VkCommandBuffer commands, int iterations) = 0;
+  // Radiosity per slot after the last recorded iteration: a vec4 each (w is 0), W/m2. Always the same buffer.
+  virtual VkBuffer radiosityBuffer() const = 0;
+  // M per slot, a vec4 each: what setSource() fills. The caller's shaders may write it instead, between records.
+  virtual VkBuffer sourceBuffer() const = 0;
+  virtual uint64_t uploadedBytes() const = 0;  // since the start
+};
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
+                                                           const VulkanGatherSettings& settings = {});
+
+// For tests: the entries of a slot's row as the device resolved them. Waits.
+Result<std::vector<uint32_t>> resolvedRow(VulkanRecorder& recorder, uint32_t slot);
+
+}  // namespace ff::runtime
