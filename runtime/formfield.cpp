@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "runtime/cpu_multibounce.h"
+#include "runtime/cpu_seed.h"
 #include "runtime/formfield_handles.h"
 
 namespace {
@@ -15,13 +17,43 @@ static_assert(sizeof(Vec3) == 3 * sizeof(float) && sizeof(Vec4) == 4 * sizeof(fl
 static_assert(FORMFIELD_NO_SLOT == kNoSlot && FORMFIELD_MAX_SLOTS == kMaxSlots);
 
 struct CpuDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const FormfieldWorldSettings& settings) override {
-    if (settings.solver == FORMFIELD_SOLVER_AUTO || settings.solver == FORMFIELD_SOLVER_GATHER)
-      return WorldSolver{makeCpuGather(threads), nullptr};
-    return Error{ErrorCode::kUsage, "", "solver", "the dense solvers cannot follow a cut yet", "use auto or gather"};
+  Result<WorldSolver> makeSolver(const SolverChoice& choice) override {
+    if (choice.kind == SolverKind::kGather) return WorldSolver{makeCpuGather(threads)};
+    MultibounceSettings dense;
+    dense.places = choice.places;
+    dense.storage = choice.storage;
+    dense.luminance = choice.luminance;
+    dense.threads = threads;
+    const bool seed = choice.kind == SolverKind::kSeed;
+    auto matrix = seed ? makeCpuSeed(dense) : makeCpuMultibounce(dense);
+    if (!matrix) return matrix.error();
+    auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed, .threads = threads});
+    const DenseSolver* const known = solver.get();
+    return WorldSolver{std::move(solver), nullptr, known};
   }
   int threads = 0;
 };
+
+// What the settings say; where they leave it open, what is written beside the world; else gather, until settle() knows
+// the cut.
+Result<SolverChoice> firstChoice(const FormfieldWorldSettings& s, const std::string& path) {
+  SolverChoice choice;
+  if (s.solver == FORMFIELD_SOLVER_AUTO) {
+    auto recommended = readRecommendation(path);
+    if (!recommended) return recommended.error();
+    if (*recommended) return **recommended;
+    choice.iterations = 2;
+    return choice;
+  }
+  choice.kind = s.solver == FORMFIELD_SOLVER_MULTIBOUNCE ? SolverKind::kMultibounce
+                : s.solver == FORMFIELD_SOLVER_SEED      ? SolverKind::kSeed
+                                                         : SolverKind::kGather;
+  choice.iterations = choice.kind == SolverKind::kGather ? 2 : 1;
+  choice.storage = s.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
+  choice.places = s.dense_places;
+  choice.why = "as the settings say";
+  return choice;
+}
 
 // Copies as many bytes as both sides know; what the caller's structure does not have keeps its default.
 template <class Settings>
@@ -52,6 +84,9 @@ Result<void> check(const FormfieldWorldSettings& s) {
   if (s.decode_threads > 64) return usageError("decode_threads", "are more than 64", "1 is usual");
   if (s.probes > 0 && (s.probe_rays == 0 || s.probe_rays > 65535))
     return usageError("probe_rays", "are not between 1 and 65535", "256 is a good value");
+  if (s.solver > FORMFIELD_SOLVER_SEED) return usageError("solver", "is none that this version knows");
+  if (s.dense_places == 0 || s.dense_places > kMaxSlots)
+    return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
   return {};
 }
@@ -104,13 +139,14 @@ FormfieldResult ff::runtime::resultOf(const Error& error) {
 
 FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<formats::World> opened,
                                    const FormfieldWorldSettings& with, std::unique_ptr<stream::Streamer> strips,
-                                   WorldSolver made)
+                                   const SolverChoice& chosen, WorldSolver made)
     : device(on),
       world(std::move(opened)),
       settings(with),
       streamer(std::move(strips)),
+      choice(chosen),
       solver(std::move(made)),
-      updater(*world, *streamer, *solver.solver),
+      updater(*world, *streamer, current),
       slots(*world) {
   updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   if (settings.probes > 0) {
@@ -146,7 +182,8 @@ Result<void> FormfieldWorld_T::frame(Vec3 at, Vec3 moving) {
   if (!isFinite(at) || !isFinite(moving)) return usageError("observer", "or its velocity is not finite");
   observer = at;
   velocity = moving;
-  const auto stats = updater.frame(at, moving, static_cast<int>(settings.iterations));
+  const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
+  const auto stats = updater.frame(at, moving, iterations);
   if (!stats) return stats.error();
   followCut(*stats);
   return readRadiosity();
@@ -177,12 +214,35 @@ Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) 
   const auto stats = updater.frame(observer, velocity, 1);
   if (!stats) return stats.error();
   followCut(*stats);
+  if (auto chosen = chooseByMatrix(); !chosen) return chosen;
   const auto iterations = updater.converge(tolerance, static_cast<int>(max_iterations));
   if (!iterations) return iterations.error();
   if (auto read = readRadiosity(); !read) return read;
   if (!probes) return {};
   if (auto followed_now = sample({}, {}, {}); !followed_now) return followed_now;
   probes->settle();
+  return {};
+}
+
+// The first time that nothing but the matrix can say which solver suits it.
+Result<void> FormfieldWorld_T::chooseByMatrix() {
+  if (settings.solver != FORMFIELD_SOLVER_AUTO || !choice.why.empty()) return {};
+  SolverChoice better = chooseSolver(updater.matrix());
+  const auto leaves = static_cast<uint32_t>(updater.matrix().leaves.size());
+  better.places = std::min(settings.dense_places, leaves + leaves / 4);
+  better.storage = settings.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
+  if (better.kind == SolverKind::kGather) better.iterations = choice.iterations;
+  if (better.kind != choice.kind) {
+    auto made = device.makeSolver(better);
+    if (!made) return made.error();
+    radiosity.resize(updater.matrix().slots());
+    if (auto read = updater.radiosity(radiosity); !read) return read;
+    if (auto set = made->solver->update(updater.matrix(), {}); !set) return set;
+    if (auto set = made->solver->setRadiosity(radiosity); !set) return set;
+    if (auto set = made->solver->setSource(updater.source()); !set) return set;
+    solver = std::move(*made);
+  }
+  choice = better;
   return {};
 }
 
@@ -243,7 +303,8 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->decode_threads = 1;
   settings->solver = FORMFIELD_SOLVER_AUTO;
   settings->storage = FORMFIELD_STORAGE_FLOAT16;
-  settings->iterations = 2;
+  settings->dense_places = 4096;
+  settings->iterations = 0;
   settings->probes = 256;
   settings->probe_rays = 256;
   settings->probe_memory_bytes = uint64_t{64} << 20;
@@ -264,9 +325,12 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     auto own = std::make_unique<formats::World>(std::move(*opened));
     auto streamer = stream::Streamer::create(*own, streamSettings(s));
     if (!streamer) return streamer.error();
-    auto solver = device->makeSolver(s);
+    const auto choice = firstChoice(s, path);
+    if (!choice) return choice.error();
+    auto solver = device->makeSolver(*choice);
     if (!solver) return solver.error();
-    *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), std::move(*solver))
+    *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,
+                                                std::move(*solver))
                  .release();
     return {};
   });
@@ -406,7 +470,15 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.resident_tiles = s.resident_tiles;
     report.wanted_tiles = s.wanted_tiles;
     report.pending_tiles = s.pending_tiles;
-    report.fallbacks = w.solver.fallback_reason && !w.solver.fallback_reason->empty();
+    report.fallbacks = w.solver.fellBack();
+    if (w.solver.dense && !w.solver.fellBack()) {
+      const DenseStats& d = w.solver.dense->stats();
+      report.dense_nodes = d.on_places;
+      report.dense_waiting = d.waiting;
+      report.dense_refused = d.refused;
+      report.dense_rebuilds = d.rebuilds;
+      report.dense_probe = d.probe;
+    }
     report.residual = w.residual;
     if (w.probes) {
       const ProbeStats p = w.probes->stats();
@@ -423,6 +495,8 @@ const char* formfieldSolverName(FormfieldWorld world) { return world ? world->so
 const char* formfieldFallbackReason(FormfieldWorld world) {
   return world && world->solver.fallback_reason ? world->solver.fallback_reason->c_str() : "";
 }
+
+const char* formfieldSolverReason(FormfieldWorld world) { return world ? world->choice.why.c_str() : ""; }
 
 const char* formfieldStreamFailure(FormfieldWorld world) {
   if (!world) return "";

@@ -65,7 +65,8 @@ const char* formfieldDeviceName(FormfieldDevice device);
 /* ---- Worlds ---- */
 
 typedef enum FormfieldSolver {
-  FORMFIELD_SOLVER_AUTO = 0,        /* by the size and density of what is around the observer */
+  FORMFIELD_SOLVER_AUTO = 0,        /* what is recommended beside the world (NAME.settings.json); else gather, until the
+                                       first formfieldSettle chooses by size and density of what is around */
   FORMFIELD_SOLVER_GATHER = 1,      /* sparse iterations, warm-started: open worlds */
   FORMFIELD_SOLVER_MULTIBOUNCE = 2, /* one dense matrix with all bounces in it: small closed spaces */
   FORMFIELD_SOLVER_SEED = 3         /* the seed paper's method, for comparison */
@@ -84,7 +85,8 @@ typedef struct FormfieldWorldSettings {
   uint32_t decode_threads;
   FormfieldSolver solver;
   FormfieldStorage storage;    /* of dense matrices */
-  uint32_t iterations;         /* of the solver, a frame */
+  uint32_t dense_places;       /* nodes in a dense matrix, at most; its size is the square of it */
+  uint32_t iterations;         /* of the solver, a frame; 0: what suits it */
   uint32_t probes;             /* for formfieldSample: points remembered; 0: formfieldSample is not used */
   uint32_t probe_rays;         /* of each */
   uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
@@ -195,6 +197,9 @@ typedef struct FormfieldStats {
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
   double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
                                                   negative: not measured */
+  uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
+  uint64_t dense_refused, dense_rebuilds;      /* blocks that could not enter with correct digits; matrices built anew */
+  double dense_probe;                          /* error of the dense matrix, probed with random vectors */
   uint64_t probes_traced, probes_remembered;   /* points answered by new rays, by remembered ones */
   uint32_t probe_tiles;                        /* level-0 tiles whose triangles are loaded */
 } FormfieldStats;
@@ -202,6 +207,8 @@ typedef struct FormfieldStats {
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
 /* "cpu", "vulkan: NAME": what computes the light now. Valid until the next frame. */
 const char* formfieldSolverName(FormfieldWorld world);
+/* Why this solver: empty before it is settled. */
+const char* formfieldSolverReason(FormfieldWorld world);
 /* Why the CPU has taken over; empty: it has not. Allocates nothing. */
 const char* formfieldFallbackReason(FormfieldWorld world);
 /* The last strip that could not be read, as a line; empty: none. Allocates; valid until the next call. */

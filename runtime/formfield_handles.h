@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "runtime/choose_solver.h"
+#include "runtime/dense_solver.h"
 #include "runtime/formfield.h"
 #include "runtime/probes.h"
 #include "runtime/residual_probe.h"
@@ -15,24 +17,26 @@
 
 namespace ff::runtime {
 
-// The solver of a world, and, where one device can fail, the name of the reason.
+// The solver of a world, and what there is to know of it.
 struct WorldSolver {
   std::unique_ptr<Solver> solver;
   const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
+  const DenseSolver* dense = nullptr;            // the solver, or the one that it may fall back from
+  bool fellBack() const { return fallback_reason && !fallback_reason->empty(); }
 };
 
 }  // namespace ff::runtime
 
 struct FormfieldDevice_T {
   virtual ~FormfieldDevice_T() = default;
-  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const FormfieldWorldSettings& settings) = 0;
+  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::runtime::SolverChoice& choice) = 0;
   std::string name, error;
 };
 
 struct FormfieldWorld_T {
   FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<ff::formats::World> opened,
                    const FormfieldWorldSettings& with, std::unique_ptr<ff::stream::Streamer> strips,
-                   ff::runtime::WorldSolver made);
+                   const ff::runtime::SolverChoice& choice, ff::runtime::WorldSolver made);
   FormfieldWorld_T(const FormfieldWorld_T&) = delete;
   FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
 
@@ -41,13 +45,30 @@ struct FormfieldWorld_T {
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
   void askDirectLight(ff::formats::TileId id, std::span<ff::Vec3> out);
   void followCut(const ff::runtime::FrameStats& stats);
+  ff::Result<void> chooseByMatrix();
   ff::Result<void> readRadiosity();
 
   FormfieldDevice_T& device;
   const std::unique_ptr<ff::formats::World> world;
   const FormfieldWorldSettings settings;
   const std::unique_ptr<ff::stream::Streamer> streamer;
-  const ff::runtime::WorldSolver solver;
+  ff::runtime::SolverChoice choice;
+  ff::runtime::WorldSolver solver;
+  // Between the updater and whatever solver is in use.
+  struct Current final : ff::runtime::Solver {
+    explicit Current(const FormfieldWorld_T& w) : world(w) {}
+    Solver& now() const { return *world.solver.solver; }
+    ff::Result<void> update(const ff::runtime::LocalMatrix& m, const ff::runtime::MatrixChange& c) override {
+      return now().update(m, c);
+    }
+    ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
+    ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override { return now().setRadiosity(b); }
+    ff::Result<void> iterate(int k) override { return now().iterate(k); }
+    ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
+    double lastMs() const override { return now().lastMs(); }
+    const char* name() const override { return now().name(); }
+    const FormfieldWorld_T& world;
+  } current{*this};
   ff::runtime::Updater updater;
   ff::runtime::SlotMap slots;
   std::optional<ff::runtime::Probes> probes;

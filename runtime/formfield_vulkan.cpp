@@ -6,6 +6,8 @@
 #include "runtime/formfield_handles.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_gather.h"
+#include "runtime/vk_multibounce.h"
+#include "runtime/vk_seed.h"
 
 namespace {
 
@@ -13,14 +15,27 @@ using namespace ff;
 using namespace ff::runtime;
 
 struct VulkanDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const FormfieldWorldSettings& settings) override {
-    if (settings.solver != FORMFIELD_SOLVER_AUTO && settings.solver != FORMFIELD_SOLVER_GATHER)
-      return Error{ErrorCode::kUsage, "", "solver", "the dense solvers cannot follow a cut yet", "use auto or gather"};
-    auto gather = makeVulkanGather(context);
-    if (!gather) return gather.error();
-    auto solver = makeFallbackSolver(std::move(*gather), makeCpuGather());
-    const std::string* reason = &solver->reason();
-    return WorldSolver{std::move(solver), reason};
+  Result<WorldSolver> makeSolver(const SolverChoice& choice) override {
+    if (choice.kind == SolverKind::kGather) {
+      auto gather = makeVulkanGather(context);
+      if (!gather) return gather.error();
+      return withFallback(std::move(*gather), nullptr);
+    }
+    MultibounceSettings dense;
+    dense.places = choice.places;
+    dense.storage = choice.storage;
+    dense.luminance = choice.luminance;
+    const bool seed = choice.kind == SolverKind::kSeed;
+    auto matrix = seed ? makeVulkanSeed(context, dense) : makeVulkanMultibounce(context, dense);
+    if (!matrix) return matrix.error();
+    auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed});
+    const DenseSolver* const known = solver.get();
+    return withFallback(std::move(solver), known);
+  }
+  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
+    auto solver = makeFallbackSolver(std::move(first), makeCpuGather());
+    const std::string* const reason = &solver->reason();
+    return {std::move(solver), reason, dense};
   }
   std::shared_ptr<VkContext> context;
   std::string last_message;
