@@ -17,7 +17,7 @@ static_assert(sizeof(Vec3) == 3 * sizeof(float) && sizeof(Vec4) == 4 * sizeof(fl
 static_assert(FORMFIELD_NO_SLOT == kNoSlot && FORMFIELD_MAX_SLOTS == kMaxSlots);
 
 struct CpuDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const SolverChoice& choice) override {
+  Result<WorldSolver> makeSolver(const formats::World&, const SolverChoice& choice) override {
     if (choice.kind == SolverKind::kGather) return WorldSolver{makeCpuGather(threads)};
     MultibounceSettings dense;
     dense.places = choice.places;
@@ -233,7 +233,7 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
   better.storage = settings.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
   if (better.kind == SolverKind::kGather) better.iterations = choice.iterations;
   if (better.kind != choice.kind) {
-    auto made = device.makeSolver(better);
+    auto made = device.makeSolver(*world, better);
     if (!made) return made.error();
     radiosity.resize(updater.matrix().slots());
     if (auto read = updater.radiosity(radiosity); !read) return read;
@@ -327,7 +327,7 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     if (!streamer) return streamer.error();
     const auto choice = firstChoice(s, path);
     if (!choice) return choice.error();
-    auto solver = device->makeSolver(*choice);
+    auto solver = device->makeSolver(*own, *choice);
     if (!solver) return solver.error();
     *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,
                                                 std::move(*solver))

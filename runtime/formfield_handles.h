@@ -22,6 +22,7 @@ struct WorldSolver {
   std::unique_ptr<Solver> solver;
   const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
   const DenseSolver* dense = nullptr;            // the solver, or the one that it may fall back from
+  std::unique_ptr<std::string> own_reason{};     // where the device failed before it had begun
   bool fellBack() const { return fallback_reason && !fallback_reason->empty(); }
 };
 
@@ -29,7 +30,8 @@ struct WorldSolver {
 
 struct FormfieldDevice_T {
   virtual ~FormfieldDevice_T() = default;
-  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::runtime::SolverChoice& choice) = 0;
+  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
+                                                          const ff::runtime::SolverChoice& choice) = 0;
   std::string name, error;
 };
 

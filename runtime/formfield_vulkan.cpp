@@ -15,11 +15,10 @@ using namespace ff;
 using namespace ff::runtime;
 
 struct VulkanDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const SolverChoice& choice) override {
+  Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice) override {
     if (choice.kind == SolverKind::kGather) {
-      auto gather = makeVulkanGather(context);
-      if (!gather) return gather.error();
-      return withFallback(std::move(*gather), nullptr);
+      auto gather = makeVulkanGather(context, gatherRoomFor(world));
+      return gather ? withFallback(std::move(*gather), nullptr) : withoutDevice(gather.error());
     }
     MultibounceSettings dense;
     dense.places = choice.places;
@@ -27,15 +26,22 @@ struct VulkanDevice final : FormfieldDevice_T {
     dense.luminance = choice.luminance;
     const bool seed = choice.kind == SolverKind::kSeed;
     auto matrix = seed ? makeVulkanSeed(context, dense) : makeVulkanMultibounce(context, dense);
-    if (!matrix) return matrix.error();
+    if (!matrix) return withoutDevice(matrix.error());
     auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed});
     const DenseSolver* const known = solver.get();
     return withFallback(std::move(solver), known);
   }
-  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
+  // A device that is lost or full from the start is no worse than one that gets there.
+  static Result<WorldSolver> withoutDevice(const Error& error) {
+    if (error.cause == ErrorCause::kOther) return error;
+    auto reason = std::make_unique<std::string>(error.line());
+    const std::string* const known = reason.get();
+    return WorldSolver{makeCpuGather(), known, nullptr, std::move(reason)};
+  }
+  static Result<WorldSolver> withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
     auto solver = makeFallbackSolver(std::move(first), makeCpuGather());
     const std::string* const reason = &solver->reason();
-    return {std::move(solver), reason, dense};
+    return WorldSolver{std::move(solver), reason, dense, nullptr};
   }
   std::shared_ptr<VkContext> context;
   std::string last_message;
