@@ -13,7 +13,7 @@ namespace {
 using namespace ff;
 
 struct Texts {
-  std::string size = "1280x720", exposure = "auto", sun, sun_irradiance, sky, solver = "vulkan", device = "auto";
+  std::string size = "1280x720", exposure = "auto", sun, sun_irradiance, sky, solver = "auto", device = "auto";
 };
 
 Error usage(const std::string& option, const std::string& message, const std::string& remedy) {
@@ -82,9 +82,9 @@ Result<void> parse(const Texts& texts, view::RunOptions& o) {
     if (n.size() != 1) return usage("--exposure", "'" + texts.exposure + "' is no number", "write auto or stops, such as -2.5");
     o.exposure_stops = n[0];
   }
-  if (texts.solver != "vulkan" && texts.solver != "cpu")
-    return usage("--solver", "'" + texts.solver + "' is not known", "write vulkan or cpu");
-  o.solve_on_cpu = texts.solver == "cpu";
+  if (texts.solver != "auto" && texts.solver != "gather" && texts.solver != "multibounce")
+    return usage("--solver", "'" + texts.solver + "' is not known", "write auto, gather or multibounce");
+  o.solver.kind = texts.solver;
   o.device.device = texts.device;
   return parseLight(texts, o);
 }
@@ -104,7 +104,8 @@ int main(int argc, char** argv) {
   app.add_option("--size", texts.size, "of the pictures")->capture_default_str();
   app.add_option("--frames", o.frames, "pictures, evenly over the path")->check(CLI::Range(1, 100000))->capture_default_str();
   app.add_option("--device", texts.device, "auto, cpu, or part of a name")->capture_default_str();
-  app.add_option("--solver", texts.solver, "vulkan or cpu")->capture_default_str();
+  app.add_option("--solver", texts.solver, "auto, gather (open worlds) or multibounce (closed spaces)")->capture_default_str();
+  app.add_flag("--solve-on-cpu", o.solver.on_cpu, "natively instead of on the Vulkan device: faster than lavapipe");
   app.add_option("--radius", o.radius_m, "m around the eye with light patch by patch; default: 24 cells")->check(CLI::PositiveNumber);
   app.add_option("--max-patches", o.max_patches, "of the finest level, active at once");
   app.add_option("--iterations", o.iterations, "of the solver per frame")->check(CLI::Range(1, 1000))->capture_default_str();

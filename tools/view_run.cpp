@@ -10,7 +10,6 @@
 #include "runtime/full_solve.h"
 #include "runtime/node_values.h"
 #include "runtime/updater.h"
-#include "runtime/vk_gather.h"
 #include "stream/streamer.h"
 #include "tools/view_light.h"
 #include "tools/view_picture.h"
@@ -242,21 +241,18 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     settings.max_level0_nodes = options.max_patches;
     auto streamer = stream::Streamer::create(*world, settings);
     if (!streamer) return streamer.error();
-    std::unique_ptr<runtime::Solver> solver;
-    if (options.solve_on_cpu) {
-      solver = runtime::makeCpuGather();
-    } else {
-      auto made = runtime::makeVulkanGather(*context, runtime::gatherRoomFor(*world));
-      if (!made) return made.error();
-      solver = std::move(*made);
-    }
-    runtime::Updater updater(*world, **streamer, *solver);
+    (*streamer)->update(f.camera.at(f.camera.start()).eye, {});
+    if (auto settled = (*streamer)->settle(); !settled) return settled.error();
+    auto solver = makeSolver(*world, **streamer, *context, options.solver);
+    if (!solver) return solver.error();
+    runtime::Updater updater(*world, **streamer, **solver);
     updater.setSky(f.light.sky);
     updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
       const auto values = f.sun_on_nodes.tile(*world, id);
       std::copy(values.begin(), values.end(), out.begin());
     });
-    figures["solver"] = solver->name();
+    figures["solver"] = (*solver)->name();
+    say(std::string("solver: ") + (*solver)->name());
     figures["radius_m"] = f.radius_m;
     figures["frames"] = json::array();
     for (int i = 0; i < options.frames; ++i) {

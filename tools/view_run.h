@@ -6,6 +6,7 @@
 #include <string>
 
 #include "runtime/vk_context.h"
+#include "tools/view_solver.h"
 #include "tools/view_camera.h"
 
 namespace ff::view {
@@ -15,7 +16,7 @@ struct RunOptions {
   uint32_t width = 1280, height = 720;
   int frames = 4;                        // evenly over the path
   runtime::VulkanChoice device;
-  bool solve_on_cpu = false;
+  SolverOptions solver;
   float radius_m = 0;                    // 0: 24 patch cells
   uint32_t max_patches = 0xffffffffu;    // active ones
   std::optional<float> exposure_stops;   // log2 of the factor on radiosity; none: automatic

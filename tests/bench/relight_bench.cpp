@@ -298,7 +298,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   print("relight.multibounce_fp16_bandwidth_fraction", denseShare(2, 2), "ratio", 0.85, "fp16; " + matrix, "cpu");
 }
 
-void runVulkan(const Options& options, const Place& place) {
+void runVulkan(const Options& options, const formats::World& world, const Place& place) {
   auto context = openVulkan();
   if (!context) {
     std::cerr << "ff_bench_relight: Vulkan is left out: " << context.error().line() << "\n";
@@ -306,7 +306,7 @@ void runVulkan(const Options& options, const Place& place) {
   }
   const std::string device = deviceName(**context);
   const int repeats = options.quick ? 3 : 9;
-  const auto solver = solverAt(place, orExit(makeVulkanGather(*context)));
+  const auto solver = solverAt(place, orExit(makeVulkanGather(*context, gatherRoomFor(world))));
   std::vector<double> gather;
   for (int i = 0; i < repeats; ++i) {
     orExit(solver->iterate(1));
@@ -360,7 +360,7 @@ void run(const Options& options) {
     std::exit(1);
   }
   if (options.backend != "vulkan") runCpu(options, world, truth, places);
-  if (options.backend != "cpu") runVulkan(options, places.front());
+  if (options.backend != "cpu") runVulkan(options, world, places.front());
 }
 
 }  // namespace

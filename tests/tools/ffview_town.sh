@@ -35,7 +35,9 @@ assert first["patches_compared"] > 20, first
 assert first["reflected_error_inner"] < 0.03, first
 PY
 cp pictures/town_0000_bounce.png vulkan.png
-expect 0 "$ffview" --headless town.ffm --camera camera.json -o on_cpu --frames 2 --size 160x90 --radius 8 --solver cpu --validate
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o on_cpu --frames 2 --size 160x90 --radius 8 --solve-on-cpu --validate
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o dense --frames 2 --size 160x90 --radius 4 --solver multibounce --solve-on-cpu --validate
+expect 1 "$ffview" --headless town.ffm -o x --solver magic
 expect 1 "$ffview" town.ffm -o x
 expect 1 "$ffview" --headless town.ffm -o x --size 3by4
 expect 1 "$ffview" --headless town.ffm -o x --sun north

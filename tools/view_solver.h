@@ -1,0 +1,23 @@
+// The solver that ffview lights a world with.
+#pragma once
+#include <memory>
+#include <string>
+
+#include "runtime/solver.h"
+#include "runtime/vk_context.h"
+#include "stream/streamer.h"
+
+namespace ff::view {
+
+struct SolverOptions {
+  std::string kind = "auto";  // auto, gather, multibounce
+  bool on_cpu = false;        // else on the context's device
+};
+
+// auto: what was recommended beside the world, else by the cut that is active now (settled at the first eye).
+// Errors: out of memory, an unreadable recommendation.
+Result<std::unique_ptr<runtime::Solver>> makeSolver(const formats::World& world, const stream::Streamer& streamer,
+                                                    std::shared_ptr<runtime::VkContext> context,
+                                                    const SolverOptions& options);
+
+}  // namespace ff::view
