@@ -179,6 +179,11 @@ void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
 }
 
 Result<void> FormfieldWorld_T::frame(Vec3 at, Vec3 moving) {
+  if (auto stepped = step(at, moving); !stepped) return stepped;
+  return readRadiosity();
+}
+
+Result<void> FormfieldWorld_T::step(Vec3 at, Vec3 moving) {
   if (!isFinite(at) || !isFinite(moving)) return usageError("observer", "or its velocity is not finite");
   observer = at;
   velocity = moving;
@@ -186,7 +191,7 @@ Result<void> FormfieldWorld_T::frame(Vec3 at, Vec3 moving) {
   const auto stats = updater.frame(at, moving, iterations);
   if (!stats) return stats.error();
   followCut(*stats);
-  return readRadiosity();
+  return {};
 }
 
 void FormfieldWorld_T::followCut(const FrameStats& stats) {

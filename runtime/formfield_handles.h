@@ -17,11 +17,19 @@
 
 namespace ff::runtime {
 
+// A solver that can write its steps into somebody else's command buffer.
+class Recording {
+ public:
+  virtual ~Recording() = default;
+  virtual Result<void> record(int iterations) = 0;
+};
+
 // The solver of a world, and what there is to know of it.
 struct WorldSolver {
   std::unique_ptr<Solver> solver;
   const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
   const DenseSolver* dense = nullptr;            // the solver, or the one that it may fall back from
+  std::unique_ptr<Recording> recording{};        // null: the solver cannot; not to be used after it fell back
   std::unique_ptr<std::string> own_reason{};     // where the device failed before it had begun
   bool fellBack() const { return fallback_reason && !fallback_reason->empty(); }
 };
@@ -42,6 +50,8 @@ struct FormfieldWorld_T {
   FormfieldWorld_T(const FormfieldWorld_T&) = delete;
   FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
 
+  // The frame but for reading its light back.
+  ff::Result<void> step(ff::Vec3 observer, ff::Vec3 velocity);
   ff::Result<void> frame(ff::Vec3 observer, ff::Vec3 velocity);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
@@ -65,12 +75,15 @@ struct FormfieldWorld_T {
     }
     ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
     ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override { return now().setRadiosity(b); }
-    ff::Result<void> iterate(int k) override { return now().iterate(k); }
+    ff::Result<void> iterate(int k) override {
+      return world.recording ? world.solver.recording->record(k) : now().iterate(k);
+    }
     ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
     double lastMs() const override { return now().lastMs(); }
     const char* name() const override { return now().name(); }
     const FormfieldWorld_T& world;
   } current{*this};
+  bool recording = false;  // iterate() records
   ff::runtime::Updater updater;
   ff::runtime::SlotMap slots;
   std::optional<ff::runtime::Probes> probes;

@@ -1,12 +1,14 @@
 #include "runtime/formfield_vulkan.h"
 
 #include <algorithm>
+#include <cstring>
 
 #include "runtime/fallback_solver.h"
 #include "runtime/formfield_handles.h"
+#include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
-#include "runtime/vk_gather.h"
 #include "runtime/vk_multibounce.h"
+#include "runtime/vk_recorder.h"
 #include "runtime/vk_seed.h"
 
 namespace {
@@ -14,11 +16,99 @@ namespace {
 using namespace ff;
 using namespace ff::runtime;
 
+// One world's frames in the caller's command buffers, and their light on its way back.
+class VulkanRecording final : public Recording {
+ public:
+  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames) {
+    auto buffer = Buffer::create(context, uint64_t{frames} * kMaxSlots * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+                                 MemoryUse::kHost);
+    if (!buffer) return buffer.error();
+    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames));
+  }
+
+  Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, Vec3 observer, Vec3 velocity) {
+    const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
+    commands_ = commands;
+    world.recording = true;
+    auto stepped = world.step(observer, velocity);
+    world.recording = false;
+    if (!stepped) return stepped;
+    const LocalMatrix& matrix = world.updater.matrix();
+    if (world.frame_stats.matrix_changed)
+      for (const uint32_t t : world.updater.assembler().change().entered)
+        entered_[matrix.tiles[t].first_slot] = records_;
+    readBack(world, arrived);
+    recordReadBack(matrix.slots());
+    world.residual = -1;
+    ++records_;
+    return {};
+  }
+
+  Result<void> record(int iterations) override { return recorder_.record(commands_, iterations); }
+  const VulkanRecorder& recorder() const { return recorder_; }
+
+ private:
+  struct Region {
+    uint64_t record = 0;
+    uint32_t slots = 0;  // 0: nothing was recorded there
+  };
+  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
+      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {}
+
+  uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
+
+  // Tiles that have entered since start from their parents, as on the device.
+  void readBack(FormfieldWorld_T& world, const Region& arrived) {
+    const LocalMatrix& matrix = world.updater.matrix();
+    world.radiosity.resize(matrix.slots());
+    if (arrived.slots > 0)
+      std::memcpy(world.radiosity.data(), buffer_.mapped() + offset(),
+                  std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
+    for (size_t t = matrix.tiles.size(); t-- > 0;) {  // parents first
+      const SlotRange& range = matrix.tiles[t];
+      if (arrived.slots > 0 && entered_[range.first_slot] <= arrived.record) continue;
+      if (arrived.slots == 0 && entered_[range.first_slot] != records_) continue;
+      for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot)
+        world.radiosity[slot] = matrix.parent_slot[slot] != kNoSlot ? world.radiosity[matrix.parent_slot[slot]] : Vec4{};
+    }
+  }
+
+  void recordReadBack(uint32_t slots) {
+    const VkBufferCopy copy{0, offset(), slots * sizeof(Vec4)};
+    vkCmdCopyBuffer(commands_, recorder_.radiosityBuffer(), buffer_.handle(), 1, &copy);
+    auto done = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
+    done.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
+    done.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
+    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &done, 0, nullptr, 0,
+                         nullptr);
+    regions_[records_ % regions_.size()] = {records_, slots};
+  }
+
+  VulkanRecorder& recorder_;
+  Buffer buffer_;
+  std::vector<Region> regions_;
+  std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
+  uint64_t records_ = 0;
+  VkCommandBuffer commands_ = VK_NULL_HANDLE;
+};
+
+// Null where the world's solver cannot record.
+VulkanRecording* recordingOf(FormfieldWorld world) {
+  return world && !world->solver.fellBack() ? dynamic_cast<VulkanRecording*>(world->solver.recording.get()) : nullptr;
+}
+
 struct VulkanDevice final : FormfieldDevice_T {
   Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice) override {
     if (choice.kind == SolverKind::kGather) {
-      auto gather = makeVulkanGather(context, gatherRoomFor(world));
-      return gather ? withFallback(std::move(*gather), nullptr) : withoutDevice(gather.error());
+      VulkanGatherSettings room = gatherRoomFor(world);
+      room.frames_in_flight = frames_in_flight;
+      auto recorder = makeVulkanRecorder(context, room);
+      if (!recorder) return withoutDevice(recorder.error());
+      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight);
+      if (!recording) return withoutDevice(recording.error());
+      auto solver = withFallback(std::move(*recorder), nullptr);
+      solver.recording = std::move(*recording);
+      return solver;
     }
     MultibounceSettings dense;
     dense.places = choice.places;
@@ -36,14 +126,15 @@ struct VulkanDevice final : FormfieldDevice_T {
     if (error.cause == ErrorCause::kOther) return error;
     auto reason = std::make_unique<std::string>(error.line());
     const std::string* const known = reason.get();
-    return WorldSolver{makeCpuGather(), known, nullptr, std::move(reason)};
+    return WorldSolver{makeCpuGather(), known, nullptr, nullptr, std::move(reason)};
   }
-  static Result<WorldSolver> withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
+  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
     auto solver = makeFallbackSolver(std::move(first), makeCpuGather());
     const std::string* const reason = &solver->reason();
-    return WorldSolver{std::move(solver), reason, dense, nullptr};
+    return {std::move(solver), reason, dense, nullptr, nullptr};
   }
   std::shared_ptr<VkContext> context;
+  uint32_t frames_in_flight = 2;
   std::string last_message;
 };
 
@@ -72,10 +163,12 @@ FormfieldResult formfieldCreateVulkanDevice(const FormfieldVulkanSettings* setti
     FormfieldVulkanSettings s{};
     if (settings && settings->size != sizeof(s)) return usageError("size", "is not sizeof(FormfieldVulkanSettings)");
     if (settings) s = *settings;
+    if (s.frames_in_flight > 16) return usageError("frames_in_flight", "are more than 16", "2 or 3 are usual");
     auto context = contextOf(s);
     if (!context) return context.error();
     auto made = std::make_unique<VulkanDevice>();
     made->context = std::move(*context);
+    if (s.frames_in_flight > 0) made->frames_in_flight = s.frames_in_flight;
     made->name = "vulkan: " + deviceName(*made->context);
     *device = made.release();
     return {};
@@ -95,6 +188,34 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last) 
   });
   if (last) *last = vulkan->last_message.c_str();
   return count;
+}
+
+FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
+                                const float velocity[3]) {
+  if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
+  VulkanRecording* const recording = recordingOf(world);
+  if (!recording) {
+    (void)guarded(world->device.error, [&]() -> Result<void> {
+      return usageError("formfieldRecord", world->solver.fellBack() ? "the CPU has taken over" : "this solver cannot record",
+                        "call formfieldFrame");
+    });
+    return FORMFIELD_ERROR_UNSUPPORTED;
+  }
+  return guarded(world->device.error, [&]() -> Result<void> {
+    if (!commands || !observer) return usageError("commands or observer", "is NULL");
+    return recording->frame(*world, commands, {observer[0], observer[1], observer[2]},
+                            velocity ? Vec3{velocity[0], velocity[1], velocity[2]} : Vec3{});
+  });
+}
+
+VkBuffer formfieldRadiosityBuffer(FormfieldWorld world) {
+  VulkanRecording* const recording = recordingOf(world);
+  return recording ? recording->recorder().radiosityBuffer() : VK_NULL_HANDLE;
+}
+
+VkBuffer formfieldSourceBuffer(FormfieldWorld world) {
+  VulkanRecording* const recording = recordingOf(world);
+  return recording ? recording->recorder().sourceBuffer() : VK_NULL_HANDLE;
 }
 
 }  // extern "C"

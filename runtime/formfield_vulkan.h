@@ -25,6 +25,7 @@ typedef struct FormfieldVulkanSettings {
   const char* device_name;
   uint32_t validate;     /* 1: under the Khronos layers; see formfieldValidationMessages */
   uint64_t memory_bytes; /* device memory to take at most; 0: no limit of our own */
+  uint32_t frames_in_flight; /* for formfieldRecord; 0: 2 */
 } FormfieldVulkanSettings;
 
 /* settings: NULL for a device of our own. Errors go to formfieldError(NULL). When the device is lost or full later on,
@@ -33,6 +34,20 @@ FormfieldResult formfieldCreateVulkanDevice(const FormfieldVulkanSettings* setti
 /* Messages of the validation layers so far; the last of them as a line (may be NULL; valid until the next call). A
  * correct program has none. */
 uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
+
+/* formfieldFrame, but the device's part goes into the caller's command buffer, outside of a render pass, and nothing waits
+ * for the device. Command buffers run once, in the order of their recording, on the queue of the device; before a world's
+ * next call here the one recorded frames_in_flight calls ago has finished. What they write is visible to all later
+ * commands. formfieldRadiosity, and with it formfieldSample, then lag by frames_in_flight frames.
+ * FORMFIELD_ERROR_UNSUPPORTED: a dense solver, or the CPU has taken over; formfieldFrame works. */
+FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
+                                const float velocity[3]);
+/* Radiosity by slot, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage buffer, always the same.
+ * Null where formfieldRecord is unsupported. */
+VkBuffer formfieldRadiosityBuffer(FormfieldWorld world);
+/* What leaves each slot without bounces, likewise: emission + albedo * (direct + sky irradiance), from formfield.h's
+ * setters. A caller whose shaders know the direct light may write it instead after each formfieldRecord. */
+VkBuffer formfieldSourceBuffer(FormfieldWorld world);
 
 #ifdef __cplusplus
 }

@@ -41,6 +41,7 @@ class VkContext {
   VkContext& operator=(const VkContext&) = delete;
   ~VkContext();
 
+  VkInstance instance() const { return instance_; }
   VkDevice device() const { return device_; }
   VkPhysicalDevice physicalDevice() const { return physical_; }
   const VkPhysicalDeviceLimits& limits() const { return properties_.limits; }

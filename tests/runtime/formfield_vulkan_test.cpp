@@ -1,5 +1,8 @@
 #include "runtime/formfield_vulkan.h"
 
+#include <cmath>
+
+#include "runtime/vk_device.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {
@@ -78,6 +81,112 @@ TEST_F(FormfieldVulkan, GivesTheLightOfTheCpu) {
     expectNear(lightAt(device_, solver, &stats), expected);
     EXPECT_EQ(stats.fallbacks, 0u);
   }
+}
+
+// An engine's loop: its own device, a command buffer a frame, two in flight.
+TEST_F(FormfieldVulkan, RecordsIntoTheCallersCommandBuffersOnTheCallersDevice) {
+  const auto engine = VkContext::open({.device = "cpu", .validate = true});
+  if (!engine) GTEST_SKIP() << engine.error().line();
+  const VkDevice device = (*engine)->device();
+  FormfieldDevice cpu = nullptr;
+  ASSERT_EQ(formfieldCreateCpuDevice(1, &cpu), FORMFIELD_OK);
+  const std::vector<float> expected = lightAt(cpu, FORMFIELD_SOLVER_GATHER);
+  formfieldDestroyDevice(cpu);
+
+  FormfieldVulkanSettings s{};
+  s.size = sizeof(s);
+  s.instance = (*engine)->instance();
+  s.physical_device = (*engine)->physicalDevice();
+  s.device = device;
+  s.queue_family = (*engine)->queueFamily();
+  vkGetDeviceQueue(device, s.queue_family, 0, &s.queue);
+  ASSERT_EQ(formfieldCreateVulkanDevice(&s, &device_), FORMFIELD_OK) << formfieldError(nullptr);
+  auto pool_info = zeroed<VkCommandPoolCreateInfo>(VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO);
+  pool_info.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
+  pool_info.queueFamilyIndex = s.queue_family;
+  VkCommandPool pool = VK_NULL_HANDLE;
+  ASSERT_EQ(vkCreateCommandPool(device, &pool_info, nullptr, &pool), VK_SUCCESS);
+  auto buffers_info = zeroed<VkCommandBufferAllocateInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO);
+  buffers_info.commandPool = pool;
+  buffers_info.commandBufferCount = 2;
+  VkCommandBuffer commands[2];
+  ASSERT_EQ(vkAllocateCommandBuffers(device, &buffers_info, commands), VK_SUCCESS);
+  const auto fence_info = zeroed<VkFenceCreateInfo>(VK_STRUCTURE_TYPE_FENCE_CREATE_INFO);
+  VkFence fences[2];
+  for (VkFence& fence : fences) ASSERT_EQ(vkCreateFence(device, &fence_info, nullptr, &fence), VK_SUCCESS);
+
+  FormfieldWorldSettings settings;
+  formfieldDefaultWorldSettings(&settings);
+  settings.radius_m = 8;
+  settings.hysteresis = 1;  // the way here leaves no trace in the cut
+  settings.solver = FORMFIELD_SOLVER_GATHER;
+  settings.probes = 16;
+  FormfieldWorld world = nullptr;
+  ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
+  const VkBuffer buffer = formfieldRadiosityBuffer(world);
+  EXPECT_TRUE(buffer != VK_NULL_HANDLE && formfieldSourceBuffer(world) != VK_NULL_HANDLE);
+  const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+  ASSERT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
+
+  constexpr int kFrames = 160;
+  for (int frame = 0; frame < kFrames; ++frame) {
+    const int ring = frame % 2;
+    if (frame >= 2) {
+      ASSERT_EQ(vkWaitForFences(device, 1, &fences[ring], VK_TRUE, UINT64_MAX), VK_SUCCESS);
+      ASSERT_EQ(vkResetFences(device, 1, &fences[ring]), VK_SUCCESS);
+    }
+    auto begin = zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
+    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+    ASSERT_EQ(vkBeginCommandBuffer(commands[ring], &begin), VK_SUCCESS);
+    // In from afar, then still: cuts change while frames are in flight.
+    const float at[3] = {std::max(16.0f, 28 - 0.2f * static_cast<float>(frame)), 1, 16};
+    ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
+    ASSERT_EQ(vkEndCommandBuffer(commands[ring]), VK_SUCCESS);
+    auto submit = zeroed<VkSubmitInfo>(VK_STRUCTURE_TYPE_SUBMIT_INFO);
+    submit.commandBufferCount = 1;
+    submit.pCommandBuffers = &commands[ring];
+    ASSERT_EQ(vkQueueSubmit(s.queue, 1, &submit, fences[ring]), VK_SUCCESS);
+    uint32_t slots = 0;
+    const float* const lagging = formfieldRadiosity(world, &slots);
+    for (uint32_t i = 0; i < 4 * slots; ++i) ASSERT_LT(std::abs(lagging[i]), 1000.0f);  // no garbage in new slots
+  }
+  ASSERT_EQ(vkDeviceWaitIdle(device), VK_SUCCESS);
+  EXPECT_EQ(formfieldRadiosityBuffer(world), buffer);
+
+  // What the last frames brought back is the settled light. (160 iterations at an albedo of at most 0.9.)
+  uint32_t slots = 0;
+  std::vector<uint32_t> map(test_.world().levels()[0].nodes);
+  ASSERT_EQ(formfieldPatchSlots(world, 0, static_cast<uint32_t>(map.size()), map.data()), FORMFIELD_OK);
+  const float* const radiosity = formfieldRadiosity(world, &slots);
+  for (size_t p = 0; p < map.size(); ++p)
+    for (size_t c = 0; c < 3; ++c)
+      ASSERT_NEAR(radiosity[4 * map[p] + c], expected[3 * p + c], 1e-3f * (1 + expected[3 * p + c]));
+  const float above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
+  float irradiance[3];
+  ASSERT_EQ(formfieldSample(world, 1, above, down, irradiance), FORMFIELD_OK);
+  EXPECT_NEAR(irradiance[1], expected[expected.size() - 2], 1e-3f * irradiance[1]);
+
+  formfieldCloseWorld(world);
+  for (const VkFence fence : fences) vkDestroyFence(device, fence, nullptr);
+  vkDestroyCommandPool(device, pool, nullptr);
+  formfieldDestroyDevice(device_);
+  device_ = nullptr;
+  for (const std::string& message : (*engine)->messages()) ADD_FAILURE() << message;
+}
+
+TEST_F(FormfieldVulkan, ADenseSolverDoesNotRecord) {
+  make();
+  if (IsSkipped()) return;
+  FormfieldWorldSettings settings;
+  formfieldDefaultWorldSettings(&settings);
+  settings.solver = FORMFIELD_SOLVER_MULTIBOUNCE;
+  settings.dense_places = 64;
+  FormfieldWorld world = nullptr;
+  ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
+  const float at[3] = {16, 1, 16};
+  EXPECT_EQ(formfieldRecord(world, nullptr, at, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
+  EXPECT_EQ(formfieldRadiosityBuffer(world), VkBuffer{VK_NULL_HANDLE});
+  formfieldCloseWorld(world);
 }
 
 TEST_F(FormfieldVulkan, AFullDeviceHandsOverToTheCpuAndSaysSo) {

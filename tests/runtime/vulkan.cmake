@@ -23,7 +23,7 @@ ff_vulkan_test(vk_resolve_test vk_resolve_test.cpp WIDTHS 128 256 512 LIBS ff_sy
 add_executable(formfield_vulkan_test formfield_vulkan_test.cpp)
 # formfield_vulkan.h names its neighbour as an installed header does.
 target_include_directories(formfield_vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime)
-target_link_libraries(formfield_vulkan_test PRIVATE ff_options ff_formfield_vulkan ff_synthetic_world Vulkan::Vulkan
+target_link_libraries(formfield_vulkan_test PRIVATE ff_options ff_formfield_vulkan ff_runtime_vulkan ff_synthetic_world Vulkan::Vulkan
   GTest::gtest_main)
 add_test(NAME formfield_vulkan_test COMMAND formfield_vulkan_test)
 set_tests_properties(formfield_vulkan_test PROPERTIES TIMEOUT 300 SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\]")
