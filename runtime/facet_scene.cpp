@@ -193,6 +193,7 @@ void FacetScenes::publish() {
     boxes.push_back(loaded_[tile]->bounds);
   }
   scene->tree = BoxTree(boxes, 1);
+  scene->complete = missing_before.back() == 0;
   for (const auto& [first, last] : descendants_)
     scene->covered.push_back(missing_before[last + 1] == missing_before[first]);
   ScenePtr old_published, old_returned, made = std::move(scene);

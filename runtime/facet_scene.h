@@ -33,6 +33,7 @@ struct FacetScene {
   std::vector<std::shared_ptr<const TileFacets>> tiles;
   BoxTree tree;                  // over tiles
   std::vector<uint8_t> covered;  // by number of a tile of any level: whether all patches beneath are in `tiles`
+  bool complete = false;         // all of the world is in `tiles`
   float back_handicap_m = 0;
 
   struct Hit {

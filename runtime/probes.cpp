@@ -137,7 +137,11 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
   for (uint32_t r = 0; r < rays_.size(); ++r) {
     const RayLine ray(point, rays_[r].x * x + rays_[r].y * y + rays_[r].z * normal);
     const FacetScene::Hit facet = facets ? facets->nearest(ray) : FacetScene::Hit{};
-    const ProbeTree::Hit plane = tree_.nearest(ray, r, facet.distance_m, facets ? facets->covered : std::span<const uint8_t>{});
+    ProbeTree::Hit plane;
+    if (!facets)
+      plane = tree_.nearest(ray, r, facet.distance_m, {});
+    else if (!facets->complete)
+      plane = tree_.nearest(ray, r, facet.distance_m, facets->covered);
     const bool sky = facet.distance_m >= FacetScene::Hit{}.distance_m;
     if (plane.slot == kNoSlot && sky) {
       ++kept.sky;
