@@ -26,7 +26,7 @@ double squared(const Vec4& v) {
 }
 
 double limitFor(const std::string& name) {
-  if (name.find("luminance") != std::string::npos) return 0.2;
+  if (name.find("luminance") != std::string::npos) return 0.05;
   return name.find("fp16") != std::string::npos ? 2e-2 : 1e-3;
 }
 

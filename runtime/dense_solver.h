@@ -26,7 +26,7 @@ struct DenseSettings {
   // The residual probe: with x random on a sixteenth of the places, another one each frame, y = G x, it takes
   // ||(I - F C) y - F x|| / ||F x|| on an eighth of the rows, and after sixteen frames the norms' ratio over all. Cost
   // a frame: a sixteenth of a dense product and a quarter of a sparse one. Above the limit the matrix is built anew,
-  // kRebuildBlocks a frame. 0: what the matrix's name() calls for: 1e-3, fp16 2e-2, luminance 0.2, which is inexact.
+  // kRebuildBlocks a frame. 0: what the matrix's name() calls for: 1e-3, fp16 2e-2, luminance 5e-2.
   double probe_limit = 0;
   int threads = 0;  // for the sparse rows; 0 = all cores
 };

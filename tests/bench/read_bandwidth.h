@@ -1,6 +1,5 @@
 // The rate at which this machine's threads can read memory: what bandwidth fractions are fractions of.
 #pragma once
-#include <algorithm>
 #include <chrono>
 #include <vector>
 
@@ -38,13 +37,5 @@ class ReadBandwidth {
   std::vector<Vec> buffer_;
   std::vector<float> sums_;
 };
-
-// The best of several passes.
-inline double readBandwidth(runtime::WorkerPool& pool, int passes = 7) {
-  ReadBandwidth meter(pool);
-  double best = 0;
-  for (int pass = 0; pass < passes; ++pass) best = std::max(best, meter.pass());
-  return best;
-}
 
 }  // namespace ff::bench

@@ -5,7 +5,6 @@
 
 #include "runtime/cpu_multibounce.h"
 #include "runtime/cpu_seed.h"
-#include "tests/bench/read_bandwidth.h"
 #include "tests/bench/tile_apply.h"
 #include "tests/bench/truth.h"
 #include "tests/runtime/walks.h"
@@ -15,13 +14,12 @@ namespace {
 using namespace ff;
 using namespace ff::bench;
 using namespace ff::runtime;
+
 std::string number(double x) {
   char text[32];
   std::snprintf(text, sizeof text, "%.3g", x);
   return text;
 }
-
-constexpr double kNoLimit = std::numeric_limits<double>::quiet_NaN();
 
 using Maker = Result<std::unique_ptr<BounceMatrix>> (*)(const MultibounceSettings&);
 
@@ -214,33 +212,11 @@ void speed(bool quick) {
           "multibounce cpu " + all[c].name + ", blocks of " + std::to_string(k) + " enter and leave, M = " +
               std::to_string(places) + ": " + number(median(all[c].ms)) + " ms a node against the seed's " +
               number(seed_ms) + " ms, one at a time; medians of interleaved runs; the limit is the target");
-
-  // The whole light changes every frame; every source is lit.
-  WorkerPool pool(0);
-  std::vector<Vec4> source(places, {1, 0.5f, 0.25f, 0}), irradiance(places);
-  for (size_t c = 0; c < all.size(); ++c) {
-    std::vector<double> fractions, relight;
-    for (int repeat = 0; repeat < (quick ? 7 : 21); ++repeat) {
-      const double bandwidth = readBandwidth(pool, 1);
-      const auto start = Clock::now();
-      orExit(all[c].matrix->relight(source, irradiance));
-      relight.push_back(msSince(start));
-      // Free places are skipped: bytes of the columns in use.
-      const double in_use = c == 0 ? 1.0 : static_cast<double>(there.size() + 1) / places;
-      const double products = all[c].name.find("luminance") != std::string::npos ? kLuminanceProducts : 1;
-      fractions.push_back(static_cast<double>(all[c].matrix->bytes()) * in_use * products / relight.back() * 1e3 /
-                          bandwidth);
-    }
-    print("relight." + std::string(c == 0 ? "seed" : "multibounce") + "_bandwidth_fraction", median(fractions), "ratio",
-          c == 0 ? kNoLimit : 0.85,
-          "cpu " + all[c].name + ", M = " + std::to_string(places) + ": " + number(median(relight)) +
-              " ms a frame; read bandwidth measured between the frames; the limit is the target");
-  }
 }
 
-void run(bool quick) {
+void run(bool quick, uint32_t most_swaps) {
   speed(quick);
-  const uint32_t swaps = quick ? 10000 : 100000;
+  const uint32_t swaps = std::min(quick ? 10000u : 100000u, most_swaps);
   const auto box = [](float albedo, uint32_t n) {
     return SceneSettings{.kind = SceneKind::kClosedBox, .patches = n, .entries_per_row = 60, .albedo = albedo};
   };
@@ -252,7 +228,7 @@ void run(bool quick) {
     walks.push_back({name, {.patches = 1024}, kind, 256, 32, swaps});
     walks.push_back({name, {.patches = 4096}, kind, 1024, 64, quick ? 1024 : swaps});
     const bool longest = !quick && kind == WalkKind::kOscillation;  // nodes that stay gather every update's rounding
-    if (!quick) walks.push_back({name, {.patches = 16384}, kind, 4096, 64, longest ? swaps : 8192});
+    if (!quick) walks.push_back({name, {.patches = 16384}, kind, 4096, 64, longest ? swaps : std::min(swaps, 8192u)});
   }
   walks.push_back({"tiny enclosures, albedo 0.98",
                    {.kind = SceneKind::kEnclosures, .patches = 512, .entries_per_row = 30, .albedo = 0.98f},
@@ -312,10 +288,12 @@ int main(int argc, char** argv) {
   bool quick = false;
   std::string world;
   CLI::App app{"Cost and drift of nodes that enter and leave the dense matrices. One JSON object a line."};
+  uint32_t most_swaps = 100000;
   app.add_flag("--quick", quick, "fewer swaps, no walks of M = 4096");
+  app.add_option("--swaps", most_swaps, "in a walk, at most")->check(CLI::Range(1024, 100000))->capture_default_str();
   app.add_option("--world", world, "a baked town, for the cost of a tile; without it one is baked");
   CLI11_PARSE(app, argc, argv);
   ff::bench::printTileApply(world, quick);
-  run(quick);
+  run(quick, most_swaps);
   return 0;
 }
