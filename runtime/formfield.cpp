@@ -36,13 +36,15 @@ struct CpuDevice final : FormfieldDevice_T {
 
 // What the settings say; where they leave it open, what is written beside the world; else gather, until settle() knows
 // the cut.
-Result<SolverChoice> firstChoice(const FormfieldWorldSettings& s, const std::string& path) {
+Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const FormfieldWorldSettings& s,
+                                 const std::string& path) {
   SolverChoice choice;
   if (s.solver == FORMFIELD_SOLVER_AUTO) {
     auto recommended = readRecommendation(path);
     if (!recommended) return recommended.error();
-    if (*recommended) return **recommended;
+    if (*recommended && (!device.records() || (*recommended)->kind == SolverKind::kGather)) return **recommended;
     choice.iterations = 2;
+    if (device.records()) choice.why = "what can record frames into a command buffer";
     return choice;
   }
   choice.kind = s.solver == FORMFIELD_SOLVER_MULTIBOUNCE ? SolverKind::kMultibounce
@@ -330,7 +332,7 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     auto own = std::make_unique<formats::World>(std::move(*opened));
     auto streamer = stream::Streamer::create(*own, streamSettings(s));
     if (!streamer) return streamer.error();
-    const auto choice = firstChoice(s, path);
+    const auto choice = firstChoice(*device, s, path);
     if (!choice) return choice.error();
     auto solver = device->makeSolver(*own, *choice);
     if (!solver) return solver.error();

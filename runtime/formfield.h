@@ -66,7 +66,8 @@ const char* formfieldDeviceName(FormfieldDevice device);
 
 typedef enum FormfieldSolver {
   FORMFIELD_SOLVER_AUTO = 0,        /* what is recommended beside the world (NAME.settings.json); else gather, until the
-                                       first formfieldSettle chooses by size and density of what is around */
+                                       first formfieldSettle chooses by size and density of what is around.
+                                       On Vulkan gather: it alone records */
   FORMFIELD_SOLVER_GATHER = 1,      /* sparse iterations, warm-started: open worlds */
   FORMFIELD_SOLVER_MULTIBOUNCE = 2, /* one dense matrix with all bounces in it: small closed spaces */
   FORMFIELD_SOLVER_SEED = 3         /* the seed paper's method, for comparison */

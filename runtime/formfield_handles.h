@@ -40,6 +40,8 @@ struct FormfieldDevice_T {
   virtual ~FormfieldDevice_T() = default;
   virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
                                                           const ff::runtime::SolverChoice& choice) = 0;
+  // Whether gather, and it alone, can record; `auto` then never leaves it.
+  virtual bool records() const { return false; }
   std::string name, error;
 };
 
@@ -76,7 +78,8 @@ struct FormfieldWorld_T {
     ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
     ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override { return now().setRadiosity(b); }
     ff::Result<void> iterate(int k) override {
-      return world.recording ? world.solver.recording->record(k) : now().iterate(k);
+      const bool records = world.recording && !world.solver.fellBack();  // which update() may just have done
+      return records ? world.solver.recording->record(k) : now().iterate(k);
     }
     ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
     double lastMs() const override { return now().lastMs(); }

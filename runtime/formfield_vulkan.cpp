@@ -33,6 +33,7 @@ class VulkanRecording final : public Recording {
     auto stepped = world.step(observer, velocity);
     world.recording = false;
     if (!stepped) return stepped;
+    if (world.solver.fellBack()) return world.readRadiosity();
     const LocalMatrix& matrix = world.updater.matrix();
     if (world.frame_stats.matrix_changed)
       for (const uint32_t t : world.updater.assembler().change().entered)
@@ -121,6 +122,7 @@ struct VulkanDevice final : FormfieldDevice_T {
     const DenseSolver* const known = solver.get();
     return withFallback(std::move(solver), known);
   }
+  bool records() const override { return true; }
   // A device that is lost or full from the start is no worse than one that gets there.
   static Result<WorldSolver> withoutDevice(const Error& error) {
     if (error.cause == ErrorCause::kOther) return error;
@@ -193,19 +195,21 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last) 
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
                                 const float velocity[3]) {
   if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
-  VulkanRecording* const recording = recordingOf(world);
-  if (!recording) {
+  const auto unsupported = [&] {
     (void)guarded(world->device.error, [&]() -> Result<void> {
       return usageError("formfieldRecord", world->solver.fellBack() ? "the CPU has taken over" : "this solver cannot record",
                         "call formfieldFrame");
     });
     return FORMFIELD_ERROR_UNSUPPORTED;
-  }
-  return guarded(world->device.error, [&]() -> Result<void> {
+  };
+  VulkanRecording* const recording = recordingOf(world);
+  if (!recording) return unsupported();
+  const FormfieldResult result = guarded(world->device.error, [&]() -> Result<void> {
     if (!commands || !observer) return usageError("commands or observer", "is NULL");
     return recording->frame(*world, commands, {observer[0], observer[1], observer[2]},
                             velocity ? Vec3{velocity[0], velocity[1], velocity[2]} : Vec3{});
   });
+  return result == FORMFIELD_OK && world->solver.fellBack() ? unsupported() : result;
 }
 
 VkBuffer formfieldRadiosityBuffer(FormfieldWorld world) {

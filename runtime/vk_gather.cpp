@@ -111,6 +111,8 @@ class VulkanGather final : public VulkanRecorder {
 };
 
 VulkanGather::~VulkanGather() {
+  // Command buffers of the caller's may still be under way: a FallbackSolver drops this solver in the middle of a flight.
+  vkDeviceWaitIdle(context_->device());
   if (queries_) vkDestroyQueryPool(context_->device(), queries_, nullptr);
 }
 

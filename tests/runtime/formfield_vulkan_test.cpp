@@ -76,7 +76,7 @@ TEST_F(FormfieldVulkan, GivesTheLightOfTheCpu) {
   ASSERT_EQ(formfieldCreateCpuDevice(1, &cpu), FORMFIELD_OK);
   const std::vector<float> expected = lightAt(cpu, FORMFIELD_SOLVER_GATHER);
   formfieldDestroyDevice(cpu);
-  for (const FormfieldSolver solver : {FORMFIELD_SOLVER_GATHER, FORMFIELD_SOLVER_MULTIBOUNCE}) {
+  for (const FormfieldSolver solver : {FORMFIELD_SOLVER_AUTO, FORMFIELD_SOLVER_MULTIBOUNCE}) {
     FormfieldStats stats{};
     expectNear(lightAt(device_, solver, &stats), expected);
     EXPECT_EQ(stats.fallbacks, 0u);
