@@ -85,7 +85,7 @@ FF_AVX2 inline void addSome(const Element* matrix, size_t column_stride, uint32_
       low[r] = _mm256_loadu_ps(out[r] + row);
       high[r] = _mm256_loadu_ps(out[r] + row + 8);
     }
-#pragma GCC unroll 4
+#pragma GCC unroll 8
     for (uint32_t n = 0; n < Columns; ++n) {
       const __m256 value0 = load8(column[n] + row), value1 = load8(column[n] + row + 8);
 #pragma GCC unroll 3
@@ -105,11 +105,12 @@ FF_AVX2 inline void addSome(const Element* matrix, size_t column_stride, uint32_
 template <uint32_t Results, class Element>
 FF_AVX2 inline void addAll(const Element* matrix, size_t column_stride, uint32_t row_begin, uint32_t row_end,
                            const uint32_t* columns, const float* const* factors, uint32_t count, float* const* out) {
+  constexpr uint32_t kColumns = Results == 1 ? 8 : 4;  // factors and sums stay in registers
   uint32_t i = 0;
   const float* at[Results];
-  for (; i + 4 <= count; i += 4) {
+  for (; i + kColumns <= count; i += kColumns) {
     for (uint32_t r = 0; r < Results; ++r) at[r] = factors[r] + i;
-    addSome<4, Results>(matrix, column_stride, row_begin, row_end, columns + i, at, out);
+    addSome<kColumns, Results>(matrix, column_stride, row_begin, row_end, columns + i, at, out);
   }
   for (; i < count; ++i) {
     for (uint32_t r = 0; r < Results; ++r) at[r] = factors[r] + i;
