@@ -2,6 +2,7 @@
 #include "runtime/cpu_multibounce.h"
 #include "runtime/small_inverse.h"
 #include "tests/runtime/bounce_matrix_cases.h"
+#include "tests/stream/counted_memory.h"
 
 namespace ff::runtime {
 namespace {
@@ -58,6 +59,37 @@ TEST(CpuMultibounce, AHundredThousandSwapsLeaveNoTrace) {
     }
     const double error = relativeError(relit(**made, source), exactIrradiance(at, source));
     EXPECT_LE(error, storage == Storage::kFloat32 ? 1e-5 : 5e-3);
+  }
+}
+
+TEST(CpuMultibounce, TakesNoMemoryAfterItWasMade) {
+  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 30});
+  for (const bool luminance : {false, true}) {
+    auto made = makeCpuMultibounce({.places = 200, .luminance = luminance, .time_slice = true, .threads = 1});
+    ASSERT_TRUE(made);
+    Placement at(scene, 200);
+    const std::vector<uint32_t> patches = upTo(180), some = upTo(30);
+    std::vector<Vec4> source = randomLight(200, 1), irradiance(200);
+    const auto counted = [&](auto&& call) {
+      const MemoryCalls before = memoryCalls();
+      const bool ok = static_cast<bool>(call());
+      const MemoryCalls after = memoryCalls();
+      EXPECT_TRUE(ok);
+      EXPECT_EQ(after.allocated - before.allocated, 0u);
+      EXPECT_EQ(after.freed - before.freed, 0u);
+    };
+    for (int round = 0; round < 2; ++round) {
+      for (uint32_t i = 0; i < 180; i += 60) {
+        const EnteringBlock block = at.enter(std::span(patches).subspan(i, 60));
+        counted([&] { return (*made)->insert(block); });
+      }
+      counted([&] { return (*made)->relight(source, irradiance); });
+      counted([&] { return (*made)->advance(20); });
+      counted([&] { return (*made)->relightChanged(some, std::span(source).subspan(0, 30), irradiance); });
+      const auto places = at.leave(patches);
+      counted([&] { return (*made)->remove(places); });
+      counted([&] { return (*made)->clear(); });
+    }
   }
 }
 

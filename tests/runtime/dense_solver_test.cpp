@@ -7,6 +7,7 @@
 #include "runtime/matrix_assembler.h"
 #include "tests/runtime/hand_made.h"
 #include "tests/runtime/test_world.h"
+#include "tests/stream/counted_memory.h"
 
 namespace ff::runtime {
 namespace {
@@ -337,6 +338,26 @@ TEST(DenseSolver, NodesThatTheMatrixRefusesAreLeftToTheSparseRows) {
   ASSERT_TRUE(assembler.update(test.randomCut(0.9, 2)));
   ASSERT_TRUE(solver->update(assembler.matrix(), assembler.change()));
   EXPECT_EQ(solver->stats().on_places, assembler.matrix().leaves.size()) << "tried again at the next cut";
+}
+
+TEST(DenseSolver, TakesNoMemoryOnTheFramePath) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 6});
+  MatrixAssembler assembler(test.world());
+  const auto solver = makeDenseSolver(bounces(600), {.blocks_per_frame = 2, .threads = 1});
+  std::vector<Vec4> out(kMaxSlots);
+  for (uint64_t step = 0; step < 12; ++step) {
+    const Cut cut = test.randomCut(0.8, step);
+    ASSERT_TRUE(assembler.update(cut));
+    const std::vector<Vec4> source = randomSource(assembler.matrix(), step);
+    const MemoryCalls before = memoryCalls();
+    const bool updated = static_cast<bool>(solver->update(assembler.matrix(), assembler.change()));
+    const bool lit = static_cast<bool>(solver->setSource(source)), iterated = static_cast<bool>(solver->iterate(2));
+    const bool read = static_cast<bool>(solver->radiosity(std::span(out).first(assembler.matrix().slots())));
+    const MemoryCalls after = memoryCalls();
+    ASSERT_TRUE(updated && lit && iterated && read);
+    EXPECT_EQ(after.allocated - before.allocated, 0u) << "step " << step;
+    EXPECT_EQ(after.freed - before.freed, 0u);
+  }
 }
 
 // The baseline on the patches near the observer, everything else one constant.
