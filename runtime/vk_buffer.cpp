@@ -1,6 +1,7 @@
 #include "runtime/vk_buffer.h"
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 
 #include "runtime/vk_device.h"
@@ -231,6 +232,27 @@ void separate(VkCommandBuffer commands) {
   barrier(commands, kStages, VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT, kStages,
           VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT |
               VK_ACCESS_TRANSFER_WRITE_BIT);
+}
+
+Result<double> deviceCopyBandwidth(VkContext& context, uint64_t bytes) {
+  auto from = Buffer::create(context, bytes, 0), to = Buffer::create(context, bytes, 0);
+  if (!from) return from.error();
+  if (!to) return to.error();
+  std::array<double, 9> ms{};
+  for (double& once : ms) {
+    auto took = context.run([&](VkCommandBuffer c) {
+      const VkBufferCopy copy{0, 0, bytes};
+      vkCmdFillBuffer(c, from->handle(), 0, bytes, 1);  // memory that was never written may not be there at all
+      separate(c);
+      context.beginTimed(c);
+      vkCmdCopyBuffer(c, from->handle(), to->handle(), 1, &copy);
+      context.endTimed(c);
+    });
+    if (!took) return took.error();
+    once = context.timedMs();
+  }
+  std::sort(ms.begin(), ms.end());
+  return 2 * static_cast<double>(bytes) / (ms[ms.size() / 2] * 1e-3);
 }
 
 }  // namespace ff::runtime

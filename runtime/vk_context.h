@@ -25,6 +25,10 @@ class VkContext;
 Result<std::shared_ptr<VkContext>> openVulkan(const VulkanChoice& choice = {});
 
 std::string deviceName(const VkContext& context);
+bool isSoftwareDevice(const VkContext& context);  // lavapipe and the like: for tests, no measure of a GPU
+// What the device copies between two buffers of so many bytes each, bytes read and written a second: the median of nine
+// copies by its own clock. Takes two such buffers for the time of the call.
+Result<double> deviceCopyBandwidth(VkContext& context, uint64_t bytes = uint64_t{64} << 20);
 // Warnings and errors of the validation layers so far, in order. A correct program has none.
 std::vector<std::string> validationMessages(const VkContext& context);
 

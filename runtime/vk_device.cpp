@@ -138,6 +138,7 @@ Error vkError(const char* call, VkResult result) {
 
 Result<std::shared_ptr<VkContext>> openVulkan(const VulkanChoice& choice) { return VkContext::open(choice); }
 std::string deviceName(const VkContext& context) { return context.deviceName(); }
+bool isSoftwareDevice(const VkContext& context) { return context.isSoftware(); }
 std::vector<std::string> validationMessages(const VkContext& context) { return context.messages(); }
 
 Result<std::shared_ptr<VkContext>> VkContext::open(const VulkanChoice& choice) {

@@ -46,6 +46,7 @@ class VkContext {
   VkPhysicalDevice physicalDevice() const { return physical_; }
   const VkPhysicalDeviceLimits& limits() const { return properties_.limits; }
   std::string deviceName() const { return properties_.deviceName; }
+  bool isSoftware() const { return properties_.deviceType == VK_PHYSICAL_DEVICE_TYPE_CPU; }
   uint32_t subgroupSize() const { return subgroup_size_; }
   uint32_t queueFamily() const { return family_; }
   bool hasTimestamps() const { return has_timestamps_; }

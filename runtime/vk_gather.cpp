@@ -24,6 +24,7 @@ namespace {
 
 constexpr uint32_t kMostTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
 constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
+constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
 constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
 static_assert(shaders::kPageNodes == formats::kTileNodes);
 
@@ -51,6 +52,7 @@ class VulkanGather final : public VulkanRecorder {
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
   uint64_t uploadedBytes() const override { return uploaded_bytes_; }
+  double lastChangeMs() const override { return last_change_ms_; }
   Result<std::vector<uint32_t>> row(uint32_t slot);
 
  private:
@@ -88,7 +90,7 @@ class VulkanGather final : public VulkanRecorder {
   VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
   VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {};     // [radiosity buffer]
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
-  VkQueryPool queries_ = VK_NULL_HANDLE;                       // two a frame in flight
+  VkQueryPool queries_ = VK_NULL_HANDLE;                       // kQueries a frame in flight
   uint64_t segment_bytes_ = 0;
   uint32_t segments_ = 1;
 
@@ -107,7 +109,7 @@ class VulkanGather final : public VulkanRecorder {
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
   std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
   uint64_t uploaded_bytes_ = 0;
-  double last_ms_ = 0;
+  double last_ms_ = 0, last_change_ms_ = 0;
 };
 
 VulkanGather::~VulkanGather() {
@@ -144,7 +146,7 @@ Result<void> VulkanGather::start() {
   if (context_->hasTimestamps()) {
     auto info = zeroed<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
     info.queryType = VK_QUERY_TYPE_TIMESTAMP;
-    info.queryCount = 2 * settings_.frames_in_flight;
+    info.queryCount = kQueries * settings_.frames_in_flight;
     if (const VkResult r = vkCreateQueryPool(context_->device(), &info, nullptr, &queries_); r != VK_SUCCESS)
       return vkError("vkCreateQueryPool", r);
   }
@@ -472,19 +474,26 @@ void VulkanGather::recordIteration(VkCommandBuffer c) {
 
 void VulkanGather::readTime(uint32_t frame, bool wait) {
   if (!queries_ || !timed_[frame]) return;
-  uint64_t ticks[2] = {};
+  uint64_t ticks[kQueries] = {};
   const VkQueryResultFlags flags = VK_QUERY_RESULT_64_BIT | (wait ? VK_QUERY_RESULT_WAIT_BIT : 0);
-  if (vkGetQueryPoolResults(context_->device(), queries_, 2 * frame, 2, sizeof(ticks), ticks, sizeof(uint64_t), flags) !=
-      VK_SUCCESS)
+  if (vkGetQueryPoolResults(context_->device(), queries_, kQueries * frame, kQueries, sizeof(ticks), ticks,
+                            sizeof(uint64_t), flags) != VK_SUCCESS)
     return;
-  last_ms_ = static_cast<double>(ticks[1] - ticks[0]) * static_cast<double>(context_->limits().timestampPeriod) * 1e-6;
+  const double ms_per_tick = static_cast<double>(context_->limits().timestampPeriod) * 1e-6;
+  last_change_ms_ = static_cast<double>(ticks[1] - ticks[0]) * ms_per_tick;
+  last_ms_ = static_cast<double>(ticks[2] - ticks[1]) * ms_per_tick;
 }
 
 Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   FF_CHECK_EQ(matrix_ != nullptr, true);
   const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
   readTime(frame, false);
+  const auto stamp = [&](uint32_t query) {
+    if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, kQueries * frame + query);
+  };
+  if (queries_) vkCmdResetQueryPool(c, queries_, kQueries * frame, kQueries);
   separate(c);
+  stamp(0);
   recordCopies(c);
   separate(c);
   if (changed_) recordChange(c);
@@ -495,12 +504,9 @@ Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   }
   changed_ = all_ = has_source_ = has_radiosity_ = false;
   left_ = 0;
-  if (queries_) {
-    vkCmdResetQueryPool(c, queries_, 2 * frame, 2);
-    vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 2 * frame);
-  }
+  stamp(1);
   for (int i = 0; i < iterations; ++i) recordIteration(c);
-  if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 2 * frame + 1);
+  stamp(2);
   timed_[frame] = 1;
   const VkBufferCopy out{0, 0, slots_ * sizeof(Vec4)};
   vkCmdCopyBuffer(c, radiosity_[now_].handle(), output_.handle(), 1, &out);

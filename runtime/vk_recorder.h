@@ -24,6 +24,8 @@ class VulkanRecorder : public Solver {
   // M per slot, a vec4 each: what setSource() fills. The caller's shaders may write it instead, between records.
   virtual VkBuffer sourceBuffer() const = 0;
   virtual uint64_t uploadedBytes() const = 0;  // since the start
+  // As lastMs(), of what the last record() did before its iterations: uploads, resolving, warm start.
+  virtual double lastChangeMs() const = 0;
 };
 
 Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,

@@ -26,8 +26,9 @@ void main() {
       }
       sum = subgroupAdd(sum);
     }
-    if (lane != 0u) continue;
-    panels[cornerAt(r, c)] = sum;
-    panels[rawAt(r, placeOf(c))] = sum;
+    if (lane == 0u) {
+      panels[cornerAt(r, c)] = sum;
+      panels[rawAt(r, placeOf(c))] = sum;
+    }
   }
 }

@@ -25,22 +25,25 @@ void main() {
       vec4 x[kVectors];
       for (uint v = 0u; v < kVectors; ++v)
         x[v] = vector_fours[(vectorsOf(v) + push.x_at) / 4u + f];
-      for (uint r = 0u; r < kBounceRows; ++r) {
-        const vec4 g = unpackFour(plane[(row + r) * stride + f]);
-        for (uint v = 0u; v < kVectors; ++v) sum[v][r] += dot(g, x[v]);
-      }
+      // The four rows written out: sums stay in registers whatever the compiler unrolls.
+      const vec4 g0 = unpackFour(plane[row * stride + f]), g1 = unpackFour(plane[(row + 1u) * stride + f]),
+                 g2 = unpackFour(plane[(row + 2u) * stride + f]), g3 = unpackFour(plane[(row + 3u) * stride + f]);
+      sum[0] += vec4(dot(g0, x[0]), dot(g1, x[0]), dot(g2, x[0]), dot(g3, x[0]));
+#ifdef LUMINANCE
+      sum[1] += vec4(dot(g0, x[1]), dot(g1, x[1]), dot(g2, x[1]), dot(g3, x[1]));
+      sum[2] += vec4(dot(g0, x[2]), dot(g1, x[2]), dot(g2, x[2]), dot(g3, x[2]));
+#endif
     }
     if (push.pending != 0u)
       for (uint c = lane; c < push.k; c += lanes)
         for (uint v = 0u; v < kVectors; ++v) {
           const float weight = vectors[vectorsOf(v) + weightsAt() + c];
-          for (uint r = 0u; r < kBounceRows; ++r) sum[v][r] += weight * panels[tallAt(c, row + r)];
+          sum[v] += weight * panel_fours[tallAt(c, row) / 4u];
         }
     for (uint v = 0u; v < kVectors; ++v) {
       const vec4 e = subgroupAdd(sum[v]);
-      if (lane != 0u) continue;
       const uint at = vectorsOf(v);
-      for (uint r = 0u; r < kBounceRows; ++r) {
+      for (uint r = 0u; r < kBounceRows && lane == 0u; ++r) {
         vectors[at + irradianceAt() + row + r] = e[r];
         if (push.next_at != 0u)
           vectors[at + push.next_at + row + r] =

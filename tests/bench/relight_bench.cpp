@@ -341,6 +341,14 @@ void runVulkan(const Options& options, const formats::World& world, const Place&
   print("relight.seed_ms", seed_median, "ms", kNone, "M = " + std::to_string(options.patches) + "; " + note, "vulkan");
   print("relight.multibounce_ms", multibounce_median, "ms", kNone,
         "fp32, M = " + std::to_string(options.patches) + "; " + note, "vulkan");
+  const double copies = orExit(deviceCopyBandwidth(**context));  // bytes read and written a second
+  print("relight.device_copy_bandwidth", copies, "B/s", kNone, "read and written; " + note, "vulkan");
+  const auto fraction = [&](const std::string& metric, double bytes, double ms) {
+    print(metric, bytes / (ms * 1e-3) / copies, "ratio", 1, "of the device's copy bandwidth; " + note, "vulkan");
+  };
+  fraction("relight.gather_bandwidth_fraction", gatherBytes(place.pyramid->matrix()), gather_ms);
+  fraction("relight.multibounce_bandwidth_fraction", static_cast<double>(multibounce->bytes()), multibounce_median);
+  fraction("relight.seed_bandwidth_fraction", static_cast<double>(seed->bytes()), seed_median);
   print("relight.gather_speedup_over_seed", seed_median / gather_ms, "ratio", 20,
         "target at least 20 on a real GPU; " + note, "vulkan");
 }

@@ -7,6 +7,7 @@
 #include "runtime/cpu_seed.h"
 #include "tests/bench/tile_apply.h"
 #include "tests/bench/truth.h"
+#include "tests/bench/vulkan_update.h"
 #include "tests/runtime/walks.h"
 
 namespace {
@@ -294,6 +295,7 @@ int main(int argc, char** argv) {
   app.add_option("--world", world, "a baked town, for the cost of a tile; without it one is baked");
   CLI11_PARSE(app, argc, argv);
   ff::bench::printTileApply(world, quick);
+  ff::bench::printVulkanUpdates(world, quick);
   run(quick, most_swaps);
   return 0;
 }
