@@ -183,8 +183,9 @@ Result<void> VulkanGather::makePipelines() {
 Result<void> VulkanGather::makeBuffers() {
   const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
   const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
-  // All that one frame can bring: the whole cut, every page, light and radiosity.
-  region_bytes_ = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 2 * slots * sizeof(Vec4);
+  // All that one frame can bring: the whole cut, every page, light and radiosity. Each frame's begins aligned.
+  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 2 * slots * sizeof(Vec4);
+  region_bytes_ = (most + sizeof(Vec4) - 1) / sizeof(Vec4) * sizeof(Vec4);
   struct Wanted {
     Buffer* buffer;
     uint64_t bytes;
