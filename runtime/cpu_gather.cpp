@@ -11,6 +11,7 @@
 namespace ff::runtime {
 namespace {
 
+constexpr uint32_t kPartRefined = 2048;   // likewise, of refined slots; a single part is done without a meeting
 constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
 
 class CpuGather final : public Solver {
@@ -117,16 +118,16 @@ class CpuGather final : public Solver {
     }
   }
 
-  // A few thousand sums; not worth a second meeting of the threads.
+  // Level by level from the finest up: a level's children are done.
   void refine() {
-    for (const LocalMatrix::Refined& refined : matrix_->refined) {
-      Vec4 mean;
-      for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c) {
-        mean.x += child_weight_[c] * to_[c].x;
-        mean.y += child_weight_[c] * to_[c].y;
-        mean.z += child_weight_[c] * to_[c].z;
-      }
-      to_[refined.slot] = mean;
+    const auto& starts = matrix_->refined_level_start;
+    for (size_t level = 0; level + 1 < starts.size(); ++level) {
+      const uint32_t first = starts[level], end = starts[level + 1];
+      const uint32_t parts = (end - first + kPartRefined - 1) / kPartRefined;
+      pool_.run(parts, [&](uint32_t part) {
+        refineSlots(matrix_->refined.data(), child_weight_.data(), to_.data(), first + part * kPartRefined,
+                    std::min(end, first + (part + 1) * kPartRefined));
+      });
     }
   }
 

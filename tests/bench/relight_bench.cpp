@@ -245,7 +245,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
     leaves.push_back(static_cast<double>(place.pyramid->matrix().leaves.size()));
     entries.push_back(static_cast<double>(place.pyramid->matrix().used_entries));
     fractions.push_back(share(
-        gatherBytes(place.pyramid->matrix()), [&] { orExit(solver->iterate(1)); }, 9));
+        gatherBytes(place.pyramid->matrix()), [&] { orExit(solver->iterate(1)); }, 31));
   }
   for (size_t d = 0; d < dense.size(); ++d) ms[d] = relightMs(*dense[d], repeats);
 
@@ -256,7 +256,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   std::vector<Vec4> irradiance(options.patches);
   for (int round = 0; round < repeats; ++round) {
     const double seed = medianMs(1, [&] { orExit(dense[0]->relight(light, irradiance)); });
-    ratios.push_back(seed / medianMs(9, [&] { orExit(alternating->iterate(1)); }));
+    ratios.push_back(seed / medianMs(31, [&] { orExit(alternating->iterate(1)); }));
   }
   const double first_error = gather_errors.front(),
                worst_error = *std::max_element(gather_errors.begin(), gather_errors.end());
