@@ -215,8 +215,9 @@ void speed(bool quick) {
               number(seed_ms) + " ms, one at a time; medians of interleaved runs; the limit is the target");
 }
 
-void run(bool quick, uint32_t most_swaps) {
-  speed(quick);
+// only: walks whose description (name, M) contains it; empty: all of them, and the cost of an update.
+void run(bool quick, uint32_t most_swaps, const std::string& only) {
+  if (only.empty()) speed(quick);
   const uint32_t swaps = std::min(quick ? 10000u : 100000u, most_swaps);
   const auto box = [](float albedo, uint32_t n) {
     return SceneSettings{.kind = SceneKind::kClosedBox, .patches = n, .entries_per_row = 60, .albedo = albedo};
@@ -242,6 +243,7 @@ void run(bool quick, uint32_t most_swaps) {
     walks.push_back({"closed box, albedo " + number(static_cast<double>(albedo)), box(albedo, 256), WalkKind::kRandom,
                      256, 32, quick && hard ? 2000 : swaps});
   }
+  std::erase_if(walks, [&](const WalkCase& c) { return describe(c).find(only) == std::string::npos; });
   struct Kind {
     const char* name;
     Storage storage;
@@ -293,9 +295,14 @@ int main(int argc, char** argv) {
   app.add_flag("--quick", quick, "fewer swaps, no walks of M = 4096");
   app.add_option("--swaps", most_swaps, "in a walk, at most")->check(CLI::Range(1024, 100000))->capture_default_str();
   app.add_option("--world", world, "a baked town, for the cost of a tile; without it one is baked");
+  std::string only;
+  app.add_option("--only", only,
+                 "walks whose description contains this, such as 'oscillation' or 'M = 4096'; no timing");
   CLI11_PARSE(app, argc, argv);
-  ff::bench::printTileApply(world, quick);
-  ff::bench::printVulkanUpdates(world, quick);
-  run(quick, most_swaps);
+  if (only.empty()) {
+    ff::bench::printTileApply(world, quick);
+    ff::bench::printVulkanUpdates(world, quick);
+  }
+  run(quick, most_swaps, only);
   return 0;
 }
