@@ -2,6 +2,8 @@
 // of the `multibounce` and `seed` solvers, on the CPU and on Vulkan. A place is a row and a column; which node holds it
 // is the caller's business. Per colour channel, with C = diag(albedo): G = (I - F C)^-1 F, so that E = G M.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -29,6 +31,13 @@ struct EnteringBlock {
   std::span<const uint32_t> receivers;
   std::span<const float> column_values;
 };
+
+// Whether every form factor of the block is finite and not negative; insert() refuses it otherwise.
+inline bool hasValidFormFactors(const EnteringBlock& block) {
+  const auto valid = [](float f) { return std::isfinite(f) && f >= 0; };
+  return std::all_of(block.row_values.begin(), block.row_values.end(), valid) &&
+         std::all_of(block.column_values.begin(), block.column_values.end(), valid);
+}
 
 struct BounceStats {
   uint64_t entered = 0, left = 0;  // nodes

@@ -102,10 +102,7 @@ class CpuMultibounce final : public BounceMatrix {
     const auto k = static_cast<uint32_t>(block.places.size());
     FF_CHECK_LT(0u, k);
     FF_CHECK_LE(k, kB);
-    for (const float value : block.row_values)
-      if (!std::isfinite(value) || value < 0) return refusal("a form factor is not a finite number >= 0");
-    for (const float value : block.column_values)
-      if (!std::isfinite(value) || value < 0) return refusal("a form factor is not a finite number >= 0");
+    if (!hasValidFormFactors(block)) return refusal("a form factor is not a finite number >= 0");
     pass(used_);
     row_sum_before_ = row_sum_;
     const uint32_t used_before = used_;

@@ -48,10 +48,8 @@ class CpuPlainLocal final : public BounceMatrix {
 
   Result<void> insert(const EnteringBlock& block) override {
     const auto start = Clock::now();
-    for (const std::span<const float> values : {block.row_values, block.column_values})
-      for (const float value : values)
-        if (!std::isfinite(value) || value < 0)
-          return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+    if (!hasValidFormFactors(block))
+      return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
     for (uint32_t r = 0; r < block.places.size(); ++r) {
       const uint32_t p = block.places[r];
       FF_CHECK_LT(p, places_);

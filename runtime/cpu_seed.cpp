@@ -45,10 +45,8 @@ class CpuSeed final : public BounceMatrix {
 
   Result<void> insert(const EnteringBlock& block) override {
     const auto start = Clock::now();
-    for (const std::span<const float> values : {block.row_values, block.column_values})
-      for (const float value : values)
-        if (!std::isfinite(value) || value < 0)
-          return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+    if (!hasValidFormFactors(block))
+      return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
     for (uint32_t r = 0; r < block.places.size(); ++r) enter(block, r);
     stats_.entered += block.places.size();
     stats_.last_update_ms = msSince(start);

@@ -44,9 +44,6 @@ static_assert(shaders::kBounceBlock == kMaxBlock);
 Error refusal(std::string message) {
   return Error{ErrorCode::kInvalidFile, "", "", std::move(message), "rebuild the matrix, or use the gather solver"};
 }
-bool allFormFactors(std::span<const float> values) {
-  return std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v) && v >= 0; });
-}
 
 struct Pipelines {
   ComputePipeline tall, wide, scatter, corner, solve, apply, fold, relight, pending, changed;
@@ -327,8 +324,7 @@ Result<void> VulkanMultibounce::insert(const EnteringBlock& block) {
   FF_CHECK_LE(k, kMaxBlock);
   FF_CHECK_LE(block.columns.size(), size_t{k} * settings_.places);
   FF_CHECK_LE(block.receivers.size(), size_t{k} * settings_.places);
-  if (!allFormFactors(block.row_values) || !allFormFactors(block.column_values))
-    return refusal("a form factor is not a finite number >= 0");
+  if (!hasValidFormFactors(block)) return refusal("a form factor is not a finite number >= 0");
   Vec4 albedo[kMaxBlock];
   uint64_t clamped = 0;
   uint32_t used_after = used_;

@@ -149,10 +149,8 @@ Result<void> VulkanPlainLocal::recordBlock(const ComputePipeline& pipeline, cons
 }
 
 Result<void> VulkanPlainLocal::insert(const EnteringBlock& block) {
-  for (const std::span<const float> values : {block.row_values, block.column_values})
-    for (const float value : values)
-      if (!std::isfinite(value) || value < 0)
-        return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+  if (!hasValidFormFactors(block))
+    return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
   const auto k = static_cast<uint32_t>(block.places.size());
   FF_CHECK_LE(k, kMaxBlock);
   FF_CHECK_LE(block.columns.size(), size_t{k} * places_);

@@ -143,10 +143,8 @@ void VulkanSeed::recordPatch(VkCommandBuffer c, const shaders::SeedPush& push) c
 }
 
 Result<void> VulkanSeed::insert(const EnteringBlock& block) {
-  for (const std::span<const float> values : {block.row_values, block.column_values})
-    for (const float value : values)
-      if (!std::isfinite(value) || value < 0)
-        return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+  if (!hasValidFormFactors(block))
+    return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
   const auto k = static_cast<uint32_t>(block.places.size());
   FF_CHECK_LE(k, kMaxBlock);
   auto* forms = reinterpret_cast<float*>(up_.mapped());

@@ -14,6 +14,7 @@
 #include "runtime/vk_multibounce.h"
 #include "runtime/vk_seed.h"
 #include "tests/runtime/walks.h"
+#include "tests/runtime/validated_vulkan.h"
 
 namespace ff::runtime {
 namespace {
@@ -51,17 +52,8 @@ double errorOf(BounceMatrix& matrix, const Placement& at, uint64_t light_seed) {
 // entry, which averages out over a row, at every update anew.
 double tolerance(Storage storage) { return storage == Storage::kFloat32 ? 1e-5 : 5e-3; }
 
-class VkBounceMatrix : public testing::Test {
+class VkBounceMatrix : public ValidatedVulkan {
  protected:
-  void SetUp() override {
-    auto c = openVulkan({.device = "auto", .validate = true, .gpu_assisted = false});
-    if (!c) GTEST_SKIP() << "no Vulkan device with validation layers, nothing was tested: " << c.error().line();
-    context_ = *c;
-  }
-  void TearDown() override {
-    if (!context_) return;
-    for (const std::string& message : validationMessages(*context_)) ADD_FAILURE() << message;
-  }
   std::unique_ptr<BounceMatrix> make(MultibounceSettings settings) {
     auto m = makeVulkanMultibounce(context_, settings);
     EXPECT_TRUE(m) << (m ? "" : m.error().line());
@@ -88,7 +80,6 @@ class VkBounceMatrix : public testing::Test {
     }
     EXPECT_LE(errorOf(*matrix, at, 77), tolerance(storage));
   }
-  std::shared_ptr<VkContext> context_;
 };
 
 TEST_F(VkBounceMatrix, EqualsADirectSolveForEveryStorageAndRaggedSize) {

@@ -13,6 +13,7 @@
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "tests/runtime/hand_made.h"
+#include "tests/runtime/validated_vulkan.h"
 
 namespace ff::runtime {
 namespace {
@@ -128,18 +129,8 @@ double tolerance(const LocalMatrix& m, int iterations) {
   return iterations * (longestSum(m) + 5 + levels * 16) * 0x1p-24;
 }
 
-class VkGather : public testing::Test {
+class VkGather : public ValidatedVulkan {
  protected:
-  void SetUp() override {
-    auto c = openVulkan({.device = "auto", .validate = true, .gpu_assisted = false});
-    if (!c) GTEST_SKIP() << "no Vulkan device with validation layers, nothing was tested: " << c.error().line();
-    context_ = *c;
-  }
-  void TearDown() override {
-    if (!context_) return;
-    for (const std::string& message : validationMessages(*context_)) ADD_FAILURE() << message;
-  }
-
   void expectAgrees(const LocalMatrix& m, int iterations, const VulkanGatherSettings& settings = {},
                     bool warm = false) {
     auto solver = makeVulkanGather(context_, settings);
@@ -172,8 +163,6 @@ class VkGather : public testing::Test {
     EXPECT_GT(largest, 0);
     EXPECT_LE(worst, tolerance(m, iterations));
   }
-
-  std::shared_ptr<VkContext> context_;
 };
 
 TEST_F(VkGather, AgreesWithDoublePrecisionAfterOneAndManyIterations) {

@@ -11,6 +11,7 @@
 #include "runtime/vk_device.h"
 #include "runtime/vk_recorder.h"
 #include "tests/runtime/test_world.h"
+#include "tests/runtime/validated_vulkan.h"
 
 namespace ff::runtime {
 namespace {
@@ -53,23 +54,13 @@ void expectSameLight(std::span<const Vec4> a, std::span<const Vec4> b, const Loc
   }
 }
 
-class VkResolve : public testing::Test {
+class VkResolve : public ValidatedVulkan {
  protected:
-  void SetUp() override {
-    auto c = openVulkan({.device = "auto", .validate = true, .gpu_assisted = false});
-    if (!c) GTEST_SKIP() << "no Vulkan device with validation layers, nothing was tested: " << c.error().line();
-    context_ = *c;
-  }
-  void TearDown() override {
-    if (!context_) return;
-    for (const std::string& message : validationMessages(*context_)) ADD_FAILURE() << message;
-  }
   std::unique_ptr<VulkanRecorder> make(const VulkanGatherSettings& settings) {
     auto made = makeVulkanRecorder(context_, settings);
     EXPECT_TRUE(made) << (made ? "" : made.error().line());
     return made ? std::move(*made) : nullptr;
   }
-  std::shared_ptr<VkContext> context_;
 };
 
 TEST_F(VkResolve, FindsTheAssemblersEntriesBitForBitThroughEveryChangeOfTheCut) {
