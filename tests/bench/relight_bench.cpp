@@ -15,14 +15,15 @@
 #include "runtime/vk_multibounce.h"
 #include "runtime/vk_seed.h"
 #include "runtime/worker_pool.h"
-#include "tests/bench/read_bandwidth.h"
 #include "tests/bench/truth.h"
-#include "tests/runtime/walks.h"
+#include "tools/chart/read_bandwidth.h"
+#include "tools/chart/walks.h"
 
 namespace {
 
 using namespace ff;
 using namespace ff::bench;
+using chart::ReadBandwidth;
 using namespace ff::runtime;
 
 struct Options {

@@ -1,6 +1,6 @@
 // ff_bench_update: what it costs to let nodes enter and leave the dense matrices, and what is left of their accuracy
 // after walks of up to 100,000 swaps (one node leaves, one enters). Truth is the direct solution in double precision on
-// the set that is in at the moment. Synthetic form factors (tests/runtime/walks.h). Prints JSON lines.
+// the set that is in at the moment. Synthetic form factors (tools/chart/walks.h). Prints JSON lines.
 #include <CLI/CLI.hpp>
 
 #include "runtime/cpu_multibounce.h"
@@ -8,7 +8,7 @@
 #include "tests/bench/tile_apply.h"
 #include "tests/bench/truth.h"
 #include "tests/bench/vulkan_update.h"
-#include "tests/runtime/walks.h"
+#include "tools/chart/walks.h"
 
 namespace {
 

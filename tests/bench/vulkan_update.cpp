@@ -9,7 +9,7 @@
 #include "runtime/vk_recorder.h"
 #include "runtime/vk_seed.h"
 #include "tests/bench/truth.h"
-#include "tests/runtime/walks.h"
+#include "tools/chart/walks.h"
 
 namespace ff::bench {
 namespace {

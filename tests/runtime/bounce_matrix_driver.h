@@ -2,7 +2,7 @@
 #pragma once
 #include <gtest/gtest.h>
 
-#include "tests/runtime/walks.h"
+#include "tools/chart/walks.h"
 
 namespace ff::runtime {
 

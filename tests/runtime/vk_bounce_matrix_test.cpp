@@ -13,8 +13,8 @@
 #include "runtime/vk_context.h"
 #include "runtime/vk_multibounce.h"
 #include "runtime/vk_seed.h"
-#include "tests/runtime/walks.h"
 #include "tests/runtime/validated_vulkan.h"
+#include "tools/chart/walks.h"
 
 namespace ff::runtime {
 namespace {

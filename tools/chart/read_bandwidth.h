@@ -5,7 +5,7 @@
 
 #include "runtime/worker_pool.h"
 
-namespace ff::bench {
+namespace ff::chart {
 
 // A buffer far larger than the caches, read by all threads of a pool.
 class ReadBandwidth {
@@ -38,4 +38,4 @@ class ReadBandwidth {
   std::vector<float> sums_;
 };
 
-}  // namespace ff::bench
+}  // namespace ff::chart
