@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <limits>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace ff::chart {
@@ -25,6 +26,17 @@ struct Accuracy {
   Figure full_solve_rel_l2;            // against the double-precision solve of the same rows: the run time's share
 };
 
+// A setting as `auto` reads it beside a world (runtime/choose_solver.h).
+struct RunSettings {
+  std::string solver;                  // "gather", "multibounce", "seed"; empty: nothing that `auto` can choose
+  std::string storage = "fp32";        // or "fp16", of a dense matrix
+  bool luminance = false;
+  uint32_t places = 4096;              // of a dense matrix
+  int iterations = 1;                  // a frame
+  double radius_m = 0, growth = 0;     // of the cut; 0: the run time's own
+  uint32_t max_patches = 0;            // active at once; 0: the run time's own
+};
+
 // One way to bake and run a world, and what it costs.
 struct Setting {
   std::string name;                    // short and unique: "gather, radius 12 m"
@@ -41,6 +53,7 @@ struct Setting {
   std::vector<Accuracy> accuracy;      // one a light situation, in the report's order
   bool on_front = false;               // no other setting is both faster and more accurate
   std::string note;                    // one line, where a figure needs it
+  RunSettings run{};
 };
 
 // A line of a chart, or points.
@@ -49,10 +62,14 @@ struct Series {
   struct Point {
     double x = 0, y = 0, y_error = 0;
     std::string hover;                 // one line; empty: the numbers
-    bool marked = false;               // on the front, the default, ...: drawn larger
+    bool marked = false;               // on the front, the default, ...: drawn larger, with a ring
+    double x_error = 0;
+    std::string label{};               // a word or two beside the point
   };
   std::vector<Point> points;
   bool lines = true;                   // false: points alone
+  bool steps = false;                  // lines as stairs: to the next x first, then to its y
+  bool dots = true;                    // false: the line alone, thin and grey: a front, a reference
 };
 
 struct Chart {
