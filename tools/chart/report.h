@@ -19,16 +19,16 @@ struct Figure {
 // How far a setting's light is from the truth in one light situation, over all observers of the camera path: every patch
 // within reach of an observer, each channel. Relative to the truth; 0.05 is 5 %.
 struct Accuracy {
-  std::string light;                   // "sun and sky", "lamps", ...
-  Figure rel_l2;                       // against the path tracer, its own noise taken off
-  Figure median, p95, p99;             // of a patch's error over max(its truth, the mean truth)
-  Figure energy;                       // sum of A B over the truth's, minus 1: gained (+) or lost (-)
-  Figure full_solve_rel_l2;            // against the double-precision solve of the same rows: the run time's share
+  std::string light{};                 // "sun and sky", "lamps", ...
+  Figure rel_l2{};                     // against the path tracer, its own noise taken off
+  Figure median{}, p95{}, p99{};       // of a patch's error over max(its truth, the mean truth)
+  Figure energy{};                     // sum of A B over the truth's, minus 1: gained (+) or lost (-)
+  Figure full_solve_rel_l2{};          // against the double-precision solve of the same rows: the run time's share
 };
 
 // A setting as `auto` reads it beside a world (runtime/choose_solver.h).
 struct RunSettings {
-  std::string solver;                  // "gather", "multibounce", "seed"; empty: nothing that `auto` can choose
+  std::string solver{};                // "gather", "multibounce", "seed"; empty: nothing that `auto` can choose
   std::string storage = "fp32";        // or "fp16", of a dense matrix
   bool luminance = false;
   uint32_t places = 4096;              // of a dense matrix
@@ -39,57 +39,57 @@ struct RunSettings {
 
 // One way to bake and run a world, and what it costs.
 struct Setting {
-  std::string name;                    // short and unique: "gather, radius 12 m"
-  std::string varies;                  // the knob that makes it differ from the default: "radius"; "": the default
-  std::vector<std::pair<std::string, std::string>> knobs;  // all of them, in one order: {"patch size", "1 m"}, ...
+  std::string name{};                  // short and unique: "gather, radius 12 m"
+  std::string varies{};                // the knob that makes it differ from the default: "radius"; "": the default
+  std::vector<std::pair<std::string, std::string>> knobs{};  // all of them, in one order: {"patch size", "1 m"}, ...
   bool is_default = false;
   bool bakes_anew = false;             // needs another bake than the default
-  Figure relight_ms;                   // a frame whose light changed: k steps of the solver; median, and its spread
-  Figure update_ms_per_tile;           // a level-0 tile of 256 patches enters the cut
+  Figure relight_ms{};                 // a frame whose light changed: k steps of the solver; median, and its spread
+  Figure update_ms_per_tile{};         // a level-0 tile of 256 patches enters the cut
   double disk_bytes = kNotMeasured;    // of the rows of all levels
   double memory_bytes = kNotMeasured;  // of the local matrix and the strips it is made from
   double bake_seconds = kNotMeasured;
   double patches = kNotMeasured, active_nodes = kNotMeasured;
-  std::vector<Accuracy> accuracy;      // one a light situation, in the report's order
+  std::vector<Accuracy> accuracy{};    // one a light situation, in the report's order
   bool on_front = false;               // no other setting is both faster and more accurate
-  std::string note;                    // one line, where a figure needs it
+  std::string note{};                  // one line, where a figure needs it
   RunSettings run{};
 };
 
 // A line of a chart, or points.
 struct Series {
-  std::string name;
+  std::string name{};
   struct Point {
     double x = 0, y = 0, y_error = 0;
-    std::string hover;                 // one line; empty: the numbers
+    std::string hover{};               // one line; empty: the numbers
     bool marked = false;               // on the front, the default, ...: drawn larger, with a ring
     double x_error = 0;
     std::string label{};               // a word or two beside the point
   };
-  std::vector<Point> points;
+  std::vector<Point> points{};
   bool lines = true;                   // false: points alone
   bool steps = false;                  // lines as stairs: to the next x first, then to its y
   bool dots = true;                    // false: the line alone, thin and grey: a front, a reference
 };
 
 struct Chart {
-  std::string id;                      // file name of its PNG and SVG: "speed-accuracy"
-  std::string title, x_label, y_label, note;  // note: what is seen and how it was made, a sentence or two
+  std::string id{};                    // file name of its PNG and SVG: "speed-accuracy"
+  std::string title{}, x_label{}, y_label{}, note{};  // note: what is seen and how it was made, a sentence or two
   bool log_x = false, log_y = false;
-  std::vector<Series> series;
-  struct Mark { double at = 0; std::string text; };
-  std::vector<Mark> y_marks, x_marks;  // targets and limits: dashed lines with a word
+  std::vector<Series> series{};
+  struct Mark { double at = 0; std::string text{}; };
+  std::vector<Mark> y_marks{}, x_marks{};  // targets and limits: dashed lines with a word
 };
 
 struct Table {
-  std::string id, title, note;
-  std::vector<std::string> columns;
-  std::vector<std::vector<std::string>> rows;
+  std::string id{}, title{}, note{};
+  std::vector<std::string> columns{};
+  std::vector<std::vector<std::string>> rows{};
 };
 
 // A PNG beside the page (taken into it as data when the page is written).
 struct Illustration {
-  std::string file, title, note;
+  std::string file{}, title{}, note{};
 };
 
 // One page.
