@@ -7,7 +7,6 @@
 #include <CLI/CLI.hpp>
 #include <Eigen/Sparse>
 #include <algorithm>
-#include <numeric>
 
 #include "runtime/cpu_multibounce.h"
 #include "runtime/cpu_seed.h"
@@ -16,13 +15,15 @@
 #include "runtime/vk_seed.h"
 #include "runtime/worker_pool.h"
 #include "tests/bench/truth.h"
+#include "tools/chart/neighbourhood.h"
 #include "tools/chart/read_bandwidth.h"
-#include "tools/chart/walks.h"
 
 namespace {
 
 using namespace ff;
 using namespace ff::bench;
+using chart::gatherBytes;
+using chart::Neighbourhood;
 using chart::ReadBandwidth;
 using namespace ff::runtime;
 
@@ -47,105 +48,9 @@ double medianMs(int repeats, const Step& step) {
   return median(ms);
 }
 
-// One observer, its cut with the pyramid and with a constant beyond the active patches.
-struct Place {
-  Case at;
-  std::unique_ptr<stream::Streamer> streamer;
-  std::unique_ptr<MatrixAssembler> pyramid;
-  std::vector<Vec4> source;  // by slot of the pyramid
-};
-
-Place placeAt(const formats::World& world, const Truth& truth, Vec3 observer, uint32_t patches) {
-  Place p;
-  p.streamer = orExit(stream::Streamer::create(world, {.hysteresis = 1.0f, .max_level0_nodes = patches}));
-  p.streamer->update(observer, {});
-  orExit(p.streamer->settle());
-  p.at = {observer, localRadius(truth, p.streamer->active(), observer)};
-  p.pyramid = std::make_unique<MatrixAssembler>(world);
-  orExit(p.pyramid->update(p.streamer->active()));
-  p.source = sourceOf(truth, world, p.pyramid->matrix(), p.streamer->active());
-  return p;
-}
-
-uint32_t activePatches(const LocalMatrix& matrix) {
-  uint32_t patches = 0;
-  for (const SlotRange& range : matrix.tiles)
-    if (range.id.level == 0) patches += range.nodes;
-  return patches;
-}
-
-size_t leavesOf(const Place& place) { return place.pyramid->matrix().leaves.size(); }
-
-std::unique_ptr<Solver> solverAt(const Place& place, std::unique_ptr<Solver> solver) {
-  orExit(solver->update(place.pyramid->matrix(), {.any = true, .renumbered = true}));
-  orExit(solver->setSource(place.source));
-  orExit(solver->setRadiosity(place.source));
+std::unique_ptr<Solver> solverAt(const Neighbourhood& place, std::unique_ptr<Solver> solver) {
+  orExit(chart::lightUp(place, *solver));
   return solver;
-}
-
-// The level-0 patches of a place as the dense methods see them.
-struct Local {
-  LocalMatrix matrix;  // FarLight::kConstant
-  PatchSet set;
-  std::vector<uint32_t> slots;    // of the patches, in order
-  std::vector<Vec4> source;       // by patch: M and what the constant adds
-  std::vector<Vec4> slot_source;  // by slot: M alone
-};
-
-Local localAt(const formats::World& world, const Truth& truth, const Place& place) {
-  Local l;
-  l.matrix = orExit(buildLocalMatrix(world, place.streamer->active(), FarLight::kConstant));
-  l.slot_source = sourceOf(truth, world, l.matrix, place.streamer->active());
-  const Vec4 ambient = meanOutside(truth, l.matrix);
-  std::vector<uint32_t> patch_of(l.matrix.slots(), 0);
-  for (const SlotRange& range : l.matrix.tiles)
-    for (uint32_t i = 0; i < range.nodes; ++i) {
-      patch_of[range.first_slot + i] = static_cast<uint32_t>(l.slots.size());
-      l.slots.push_back(range.first_slot + i);
-    }
-  std::vector<FormFactorRow> rows(l.slots.size());
-  std::vector<Vec4> albedo;
-  for (size_t p = 0; p < l.slots.size(); ++p) {
-    const uint32_t slot = l.slots[p];
-    const Vec4 rho = l.matrix.albedo[slot];
-    float outside = 0;
-    for (const uint32_t entry : l.matrix.row(slot)) {
-      const float f = static_cast<float>(entry & 0xffff) * l.matrix.row_scale[slot];
-      if (entry >> 16 == l.matrix.ambient_slot)
-        outside += f;
-      else
-        rows[p].push_back({patch_of[entry >> 16], f});
-    }
-    const Vec4 m = l.slot_source[slot];
-    l.source.push_back(
-        {m.x + rho.x * outside * ambient.x, m.y + rho.y * outside * ambient.y, m.z + rho.z * outside * ambient.z, 0});
-    albedo.push_back(rho);
-    std::sort(rows[p].begin(), rows[p].end());
-  }
-  l.set = makePatchSet(rows, std::move(albedo));
-  return l;
-}
-
-void fill(BounceMatrix& matrix, Placement& placement, uint32_t patches, uint32_t block) {
-  std::vector<uint32_t> entering;
-  for (uint32_t first = 0; first < patches; first += block) {
-    entering.resize(std::min(block, patches - first));
-    std::iota(entering.begin(), entering.end(), first);
-    orExit(matrix.insert(placement.enter(entering)));
-  }
-}
-
-double errorOf(const Truth& truth, const Place& place, const Local& local, const Placement& placement,
-               BounceMatrix& matrix) {
-  std::vector<Vec4> source(matrix.capacity()), irradiance(matrix.capacity());
-  for (uint32_t p = 0; p < local.slots.size(); ++p) source[placement.place(p)] = local.source[p];
-  orExit(matrix.relight(source, irradiance));
-  std::vector<Vec4> radiosity(local.matrix.slots());
-  for (uint32_t p = 0; p < local.slots.size(); ++p) {
-    const Vec4 e = irradiance[placement.place(p)], rho = local.set.albedo[p], m = local.source[p];
-    radiosity[local.slots[p]] = {m.x + rho.x * e.x, m.y + rho.y * e.y, m.z + rho.z * e.z, 0};
-  }
-  return compare(truth, local.matrix, radiosity, local.slot_source, place.at).relative();
 }
 
 // A node at the highest place makes a matrix as large as a full one, for what time alone is asked.
@@ -159,13 +64,6 @@ double relightMs(BounceMatrix& matrix, int repeats) {
   const std::vector<Vec4> source = randomLight(matrix.capacity(), 1);
   std::vector<Vec4> irradiance(matrix.capacity());
   return medianMs(repeats, [&] { orExit(matrix.relight(source, irradiance)); });
-}
-
-// Bytes that one step of gather must read: entries (with their padding) and what it keeps by row.
-double gatherBytes(const LocalMatrix& m) {
-  double entries = 0;
-  for (const uint32_t slot : m.leaves) entries += (m.row_entries[slot] + kRowPadding - 1) / kRowPadding * kRowPadding;
-  return 4 * entries + static_cast<double>(m.leaves.size()) * (3 * sizeof(uint32_t) + 4 * sizeof(Vec4));
 }
 
 struct EigenMs {
@@ -196,16 +94,16 @@ EigenMs eigenMs(const LocalMatrix& m, int repeats) {
 
 std::string percent(double x) { return std::to_string(100 * x) + " %"; }
 
-void runCpu(const Options& options, const formats::World& world, const Truth& truth, const std::vector<Place>& places) {
+void runCpu(const Options& options, const formats::World& world, const Truth& truth, const std::vector<Neighbourhood>& places) {
   WorkerPool pool(options.threads);
   const std::string machine = std::to_string(pool.threads()) + " threads";
   ReadBandwidth bandwidth(pool);
   std::vector<double> passes;
   for (int i = 0; i < 7; ++i) passes.push_back(bandwidth.pass());
   const double read_bytes_per_s = median(passes);
-  const Place& first = places.front();
-  const Local local = localAt(world, truth, first);
-  const auto patches = static_cast<uint32_t>(local.slots.size());
+  const Neighbourhood& first = places.front();
+  const chart::LocalPatches local = orExit(chart::localPatches(world, truth, first));
+  const uint32_t patches = local.patches();
   const MultibounceSettings settings{.places = options.patches, .threads = options.threads};
   const int repeats = options.quick ? 5 : 15;
 
@@ -220,8 +118,9 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   std::vector<double> errors, ms(dense.size());
   for (size_t d = 0; d < dense.size(); ++d) {
     Placement placement(local.set, options.patches);
-    fill(*dense[d], placement, patches, d == 0 ? 1 : kMaxBlock);
-    errors.push_back(errorOf(truth, first, local, placement, *dense[d]));
+    orExit(chart::fillMatrix(*dense[d], placement, patches, d == 0 ? 1 : kMaxBlock));
+    const std::vector<Vec4> radiosity = orExit(chart::relitRadiosity(local, placement, *dense[d]));
+    errors.push_back(compare(truth, local.matrix, radiosity, local.slot_source, first.at).relative());
   }
 
   std::vector<double> gather_ms, gather_errors, leaves, entries;
@@ -236,7 +135,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
     return median(shares);
   };
   std::vector<double> fractions;
-  for (const Place& place : places) {
+  for (const Neighbourhood& place : places) {
     const auto solver = solverAt(place, makeCpuGather(options.threads));
     orExit(solver->iterate(200));
     std::vector<Vec4> radiosity(place.source.size());
@@ -308,7 +207,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   print("relight.multibounce_fp16_bandwidth_fraction", denseShare(2, 2), "ratio", 0.85, "fp16; " + matrix, "cpu");
 }
 
-void runVulkan(const Options& options, const formats::World& world, const Place& place) {
+void runVulkan(const Options& options, const formats::World& world, const Neighbourhood& place) {
   auto context = openVulkan();
   if (!context) {
     std::cerr << "ff_bench_relight: Vulkan is left out: " << context.error().line() << "\n";
@@ -360,9 +259,10 @@ void run(const Options& options) {
   const formats::World world =
       orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick) : options.world));
   const Truth truth = solveTruth(world, false);
-  std::vector<Place> places;
+  std::vector<Neighbourhood> places;
   for (const Vec3 observer : observersOf(truth, 4 * options.observers, world.info().cell_m)) {
-    Place place = placeAt(world, truth, observer, options.patches);
+    Neighbourhood place = orExit(chart::neighbourhoodAt(
+        world, truth, observer, {.hysteresis = 1.0f, .max_level0_nodes = options.patches}));
     const auto dark = compare(truth, place.pyramid->matrix(), place.source, place.source, place.at);
     if (dark.meanTruth() < 1e-2 * truth.rms) continue;  // errors there are of nothing
     places.push_back(std::move(place));
@@ -370,11 +270,11 @@ void run(const Options& options) {
   }
   // The dense methods are compared where they are as large as they may be, and the cut is of middling size there.
   std::stable_sort(places.begin(), places.end(),
-                   [](const Place& a, const Place& b) { return leavesOf(a) < leavesOf(b); });
+                   [](const Neighbourhood& a, const Neighbourhood& b) { return a.leaves() < b.leaves(); });
   uint32_t largest = 0;
-  for (const Place& place : places) largest = std::max(largest, activePatches(place.pyramid->matrix()));
-  const auto full = std::stable_partition(places.begin(), places.end(), [&](const Place& place) {
-    return activePatches(place.pyramid->matrix()) >= largest / 20 * 19;
+  for (const Neighbourhood& place : places) largest = std::max(largest, place.activePatches());
+  const auto full = std::stable_partition(places.begin(), places.end(), [&](const Neighbourhood& place) {
+    return place.activePatches() >= largest / 20 * 19;
   });
   if (full != places.begin()) std::iter_swap(places.begin(), places.begin() + (full - places.begin()) / 2);
   std::filesystem::remove_all(folder);

@@ -13,7 +13,7 @@
 #include "runtime/full_solve.h"
 #include "runtime/node_values.h"
 #include "runtime/updater.h"
-#include "tests/bench/sun_light.h"
+#include "tools/chart/sun_light.h"
 
 namespace ff::runtime {
 
@@ -37,7 +37,7 @@ class RadianceOracle {
     auto caster = bake::RayCaster::create(scene_);
     if (!caster) throw std::runtime_error(caster.error().line());
     caster_ = std::make_unique<bake::RayCaster>(std::move(*caster));
-    sun_ = std::move(*bench::sunIrradiance(world, to_sun, sun));
+    sun_ = std::move(*chart::sunIrradiance(world, to_sun, sun));
     std::vector<double> source;
     for (size_t i = 0; i < nodes.size(); ++i) {
       const Vec3 m = nodes[i].emission + nodes[i].albedo * (sun_[i] + skyIrradiance(sky, nodes[i]));

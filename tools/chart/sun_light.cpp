@@ -1,10 +1,10 @@
-#include "tests/bench/sun_light.h"
+#include "tools/chart/sun_light.h"
 
 #include <cmath>
 
 #include "bake/ray_caster.h"
 
-namespace ff::bench {
+namespace ff::chart {
 namespace {
 
 constexpr int kRays = 16;
@@ -62,4 +62,4 @@ Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun
   return result;
 }
 
-}  // namespace ff::bench
+}  // namespace ff::chart

@@ -4,10 +4,10 @@
 
 #include "formats/reader.h"
 
-namespace ff::bench {
+namespace ff::chart {
 
 // Irradiance per level-0 node, W/m2; irradiance: of a surface that faces the sun. 16 shadow rays a patch.
 // Errors: unreadable geometry, Embree.
 Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun, Vec3 irradiance);
 
-}  // namespace ff::bench
+}  // namespace ff::chart
