@@ -17,8 +17,7 @@
 #include "bake/bake.h"
 #include "bake/form_factor.h"
 #include "bake/gltf_import.h"
-#include "bake/pool.h"
-#include "bake/row_sampling.h"
+#include "tools/chart/patch_rows.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_town.h"
 
@@ -83,87 +82,16 @@ double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaste
   return median(speeds);
 }
 
-// Reflected radiosity rho E of the converged solution on rows given as F(i, j) entries. 3 values a patch.
-struct Rows {
-  std::vector<uint64_t> start{0};
-  std::vector<uint32_t> column;
-  std::vector<float> f;
-  std::vector<float> sky;  // fraction
-};
-std::vector<double> reflected(const PatchSet& set, const Rows& rows, const std::vector<double>& sun) {
-  const size_t n = set.patches.size();
-  std::vector<double> source(3 * n), b(3 * n), e(3 * n), next(3 * n);
-  for (size_t i = 0; i < n; ++i)
-    for (int c = 0; c < 3; ++c)
-      source[3 * i + static_cast<size_t>(c)] = static_cast<double>(set.patches[i].emission[c]) +
-                                               static_cast<double>(set.patches[i].albedo[c]) *
-                                                   (sun[i] + std::acos(-1.0) * 2.0 * static_cast<double>(rows.sky[i]));
-  b = source;
-  for (int k = 0; k < 60; ++k) {
-    tbb::parallel_for(size_t{0}, n, [&](size_t i) {
-      double sum[3] = {};
-      for (uint64_t q = rows.start[i]; q < rows.start[i + 1]; ++q)
-        for (size_t c = 0; c < 3; ++c) sum[c] += static_cast<double>(rows.f[q]) * b[3 * rows.column[q] + c];
-      for (size_t c = 0; c < 3; ++c)
-        next[3 * i + c] = source[3 * i + c] + static_cast<double>(set.patches[i].albedo[static_cast<int>(c)]) * sum[c];
-    });
-    std::swap(b, next);
-  }
-  for (size_t i = 0; i < n; ++i)
-    for (size_t c = 0; c < 3; ++c)
-      e[3 * i + c] = b[3 * i + c] - static_cast<double>(set.patches[i].emission[static_cast<int>(c)]);
-  return e;
-}
-
-Rows rowsOf(const PatchSet& set, HitRows hits, uint32_t quanta) {  // quanta 0: the pooled rows themselves
-  std::vector<float> areas;
-  for (const Patch& p : set.patches) areas.push_back(p.area_m2);
-  const PooledPatches pooled(std::move(hits), areas);
-  Rows rows;
-  ExchangeRow row;
-  SampledRow sampled;
-  for (uint32_t i = 0; i < pooled.nodes(); ++i) {
-    pooled.row(i, row);
-    double sum = row.sky_m2 + row.absorbed_m2;
-    for (double x : row.area_m2) sum += x;
-    if (quanta > 0) {
-      sampleRow(row, areas[i], quanta, static_cast<double>(mix64(i + 1) >> 11) * 0x1p-53, sampled);
-      for (size_t k = 0; k < sampled.column.size(); ++k) {
-        rows.column.push_back(sampled.column[k]);
-        rows.f.push_back(static_cast<float>(sampled.count[k]) / static_cast<float>(quanta));
-      }
-      rows.sky.push_back(static_cast<float>(sampled.sky) / static_cast<float>(quanta));
-    } else {
-      for (size_t k = 0; k < row.column.size(); ++k) {
-        rows.column.push_back(row.column[k]);
-        rows.f.push_back(static_cast<float>(row.area_m2[k] / sum));
-      }
-      rows.sky.push_back(static_cast<float>(row.sky_m2 / sum));
-    }
-    rows.start.push_back(rows.column.size());
-  }
-  return rows;
-}
-
 // Relative L2 of reflected radiosity, sun and sky, rows of `rays` and `quanta` against pooled rows of 16384 other rays.
 double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint32_t quanta) {
-  const Vec3 to_sun = normalized({0.4f, 0.8f, 0.3f});
-  std::vector<double> sun(set.patches.size());
-  for (size_t i = 0; i < sun.size(); ++i) {
-    const Patch& p = set.patches[i];
-    const float c = dot(p.normal, to_sun);
-    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset()), to_sun}, 1e9f))
-      sun[i] = 10.0 * static_cast<double>(c);
-  }
+  const std::vector<double> sun = chart::sunOnPatches(set, caster);
   std::atomic<uint64_t> done{0};
-  const auto t = reflected(set, rowsOf(set, castRows(scene, set, caster, 16384, 77, done), 0), sun);
-  const auto x = reflected(set, rowsOf(set, castRows(scene, set, caster, rays, 1, done), quanta), sun);
-  double error = 0, norm = 0;
-  for (size_t k = 0; k < t.size(); ++k) {
-    error += (x[k] - t[k]) * (x[k] - t[k]);
-    norm += t[k] * t[k];
-  }
-  return std::sqrt(error / norm);
+  const auto solve = [&](const HitRows& hits, uint32_t q) {
+    const chart::PatchRows rows = chart::pooledRows(set, hits, q);
+    return chart::solveRows(set, rows, chart::sunAndSky(set, rows, sun));
+  };
+  return chart::reflectedDifference(set, solve(castRows(scene, set, caster, rays, 1, done), quanta),
+                                    solve(castRows(scene, set, caster, 16384, 77, done), 0));
 }
 
 }  // namespace

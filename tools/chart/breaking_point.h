@@ -1,0 +1,39 @@
+// At what number a method breaks: error along a knob that is turned from easy to hard, and the first number past a limit.
+#pragma once
+#include <span>
+#include <string>
+#include <vector>
+
+#include "tools/chart/report.h"
+
+namespace ff::chart {
+
+struct Measured {
+  std::string scene, method;  // "closed box, albedo 0.98", "seed"
+  std::string knob, unit;     // "swaps", ""; "patch size", "m"
+  struct Point {
+    double at = 0, error = 0;  // error: relative; infinity where a value is not finite
+  };
+  std::vector<Point> points;  // from easy to hard
+  std::string then;           // what the program does, with counts
+};
+
+// The first number at which the error is above the limit, as text: "3,200", "0.5 m"; "never within 100,000".
+std::string passes(const Measured& measured, double limit);
+std::string notFinite(const Measured& measured);
+// The largest error; infinity is "not finite".
+std::string worst(const Measured& measured);
+
+// A line of a chart. Errors above kMostDrawn end the line there, errors below kLeastDrawn lie on it; the hover has the
+// number itself.
+inline constexpr double kMostDrawn = 10, kLeastDrawn = 1e-9;
+Series seriesOf(const Measured& measured, const std::string& name);
+
+// One row a method and case.
+Table breakingTable(std::span<const Measured> measured);
+
+// "12,345", "0.98", "1.2e-07"; 5.3 %.
+std::string numberText(double x);
+std::string percentText(double x);
+
+}  // namespace ff::chart
