@@ -61,6 +61,20 @@ Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_
     return wrong(path, "places", "is not a whole number from 1 to " + std::to_string(kMaxSlots));
   if (!whole("iterations", 1, 1000, choice.iterations))
     return wrong(path, "iterations", "is not a whole number from 1 to 1000");
+  const auto number = [&](const char* key, double least, double most, std::optional<float>& to) {
+    const auto at = json.find(key);
+    if (at == json.end()) return true;
+    if (!at->is_number() || !(at->get<double>() >= least && at->get<double>() <= most)) return false;
+    to = at->get<float>();
+    return true;
+  };
+  if (!number("radius_m", 1e-3, 1e6, choice.radius_m))
+    return wrong(path, "radius_m", "is not a length from 0.001 to 1,000,000 m");
+  if (!number("growth", 1, 16, choice.growth)) return wrong(path, "growth", "is not a number from 1 to 16");
+  if (uint32_t most = 0; !whole("max_patches", 1, 0xffffffffu, most))
+    return wrong(path, "max_patches", "is not a whole number from 1 on");
+  else if (most > 0)
+    choice.max_patches = most;
   return std::optional(choice);
 }
 

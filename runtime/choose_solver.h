@@ -16,6 +16,9 @@ struct SolverChoice {
   bool luminance = false;
   uint32_t places = 4096;  // of a dense matrix
   int iterations = 1;      // a frame
+  // Of the cut (stream/streamer.h); none: the caller's.
+  std::optional<float> radius_m{}, growth{};
+  std::optional<uint32_t> max_patches{};
   std::string why{};       // one line
 };
 

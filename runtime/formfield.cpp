@@ -105,6 +105,18 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   return streaming;
 }
 
+// What the settings leave at its default is the recommendation's, where it has a say.
+void takeCut(const SolverChoice& choice, FormfieldWorldSettings& s) {
+  FormfieldWorldSettings defaults;
+  formfieldDefaultWorldSettings(&defaults);
+  const auto take = [](const auto& recommended, const auto& usual, auto& now) {
+    if (recommended && now == usual) now = *recommended;
+  };
+  take(choice.radius_m, defaults.radius_m, s.radius_m);
+  take(choice.growth, defaults.growth, s.growth);
+  take(choice.max_patches, defaults.max_patches, s.max_patches);
+}
+
 bool isFinite(Vec3 v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
 Vec3 vectorOf(const float* v) { return {v[0], v[1], v[2]}; }
 std::span<const Vec3> vectors(const float* v, uint32_t count) { return {reinterpret_cast<const Vec3*>(v), count}; }
@@ -330,10 +342,11 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     auto opened = formats::World::open(path);
     if (!opened) return opened.error();
     auto own = std::make_unique<formats::World>(std::move(*opened));
-    auto streamer = stream::Streamer::create(*own, streamSettings(s));
-    if (!streamer) return streamer.error();
     const auto choice = firstChoice(*device, s, path);
     if (!choice) return choice.error();
+    takeCut(*choice, s);
+    auto streamer = stream::Streamer::create(*own, streamSettings(s));
+    if (!streamer) return streamer.error();
     auto solver = device->makeSolver(*own, *choice);
     if (!solver) return solver.error();
     *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,

@@ -65,8 +65,9 @@ const char* formfieldDeviceName(FormfieldDevice device);
 /* ---- Worlds ---- */
 
 typedef enum FormfieldSolver {
-  FORMFIELD_SOLVER_AUTO = 0,        /* what is recommended beside the world (NAME.settings.json); else gather, until the
-                                       first formfieldSettle chooses by size and density of what is around.
+  FORMFIELD_SOLVER_AUTO = 0,        /* what is recommended beside the world (NAME.settings.json), with its radius_m,
+                                       growth and max_patches for those that are left at their defaults; else gather,
+                                       until the first formfieldSettle chooses by size and density of what is around.
                                        On Vulkan gather: it alone records */
   FORMFIELD_SOLVER_GATHER = 1,      /* sparse iterations, warm-started: open worlds */
   FORMFIELD_SOLVER_MULTIBOUNCE = 2, /* one dense matrix with all bounces in it: small closed spaces */

@@ -106,8 +106,11 @@ int main(int argc, char** argv) {
   app.add_option("--device", texts.device, "auto, cpu, or part of a name")->capture_default_str();
   app.add_option("--solver", texts.solver, "auto, gather (open worlds) or multibounce (closed spaces)")->capture_default_str();
   app.add_flag("--solve-on-cpu", o.solver.on_cpu, "natively instead of on the Vulkan device: faster than lavapipe");
-  app.add_option("--radius", o.radius_m, "m around the eye with light patch by patch; default: 24 cells")->check(CLI::PositiveNumber);
-  app.add_option("--max-patches", o.max_patches, "of the finest level, active at once");
+  app.add_option("--radius", o.radius_m,
+                 "m around the eye with light patch by patch; default: as recommended beside the world, else 24 cells")
+      ->check(CLI::PositiveNumber);
+  app.add_option("--max-patches", o.max_patches,
+                 "of the finest level, active at once; default: as recommended beside the world, else all");
   app.add_option("--iterations", o.iterations, "of the solver per frame")->check(CLI::Range(1, 1000))->capture_default_str();
   app.add_option("--settle", o.settle, "more of them, at most, before a picture: white closed rooms take thousands")
       ->check(CLI::Range(1, 100000))

@@ -20,7 +20,6 @@ namespace {
 using nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-constexpr float kRadiusCells = 24;
 constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
 // Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small. White cavities take
 // hundreds of iterations; what is left of them then shows in the comparison.
@@ -235,11 +234,10 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
   {
     Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
     if (auto r = prepare(f, figures, say); !r) return r.error();
-    f.radius_m = options.radius_m > 0 ? options.radius_m : kRadiusCells * world->info().cell_m;
-    stream::StreamSettings settings;
-    settings.radius_m = f.radius_m;
-    settings.max_level0_nodes = options.max_patches;
-    auto streamer = stream::Streamer::create(*world, settings);
+    auto settings = cutSettings(*world, options.solver, {options.radius_m, options.max_patches});
+    if (!settings) return settings.error();
+    f.radius_m = settings->radius_m;
+    auto streamer = stream::Streamer::create(*world, *settings);
     if (!streamer) return streamer.error();
     (*streamer)->update(f.camera.at(f.camera.start()).eye, {});
     if (auto settled = (*streamer)->settle(); !settled) return settled.error();

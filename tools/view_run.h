@@ -17,8 +17,8 @@ struct RunOptions {
   int frames = 4;                        // evenly over the path
   runtime::VulkanChoice device;
   SolverOptions solver;
-  float radius_m = 0;                    // 0: 24 patch cells
-  uint32_t max_patches = 0xffffffffu;    // active ones
+  float radius_m = 0;                    // 0: what is recommended beside the world, else 24 patch cells
+  uint32_t max_patches = 0xffffffffu;    // active ones; left at that: what is recommended, else all
   std::optional<float> exposure_stops;   // log2 of the factor on radiosity; none: automatic
   std::optional<Sun> sun;                // these three: over the camera file's, over the defaults
   std::optional<runtime::Sky> sky;

@@ -26,7 +26,27 @@ Result<SolverChoice> chosen(const formats::World& world, const stream::Streamer&
   return runtime::chooseSolver(*matrix);
 }
 
+constexpr float kRadiusCells = 24;
+
 }  // namespace
+
+Result<stream::StreamSettings> cutSettings(const formats::World& world, const SolverOptions& solver, const CutOptions& options) {
+  stream::StreamSettings settings;
+  settings.radius_m = kRadiusCells * world.info().cell_m;
+  settings.max_level0_nodes = options.max_patches;
+  if (solver.kind == "auto") {
+    const auto recommended = runtime::readRecommendation(world.path());
+    if (!recommended) return recommended.error();
+    if (*recommended) {
+      settings.radius_m = (**recommended).radius_m.value_or(settings.radius_m);
+      settings.growth = (**recommended).growth.value_or(settings.growth);
+      if (options.max_patches == CutOptions().max_patches)
+        settings.max_level0_nodes = (**recommended).max_patches.value_or(options.max_patches);
+    }
+  }
+  if (options.radius_m > 0) settings.radius_m = options.radius_m;
+  return settings;
+}
 
 Result<std::unique_ptr<runtime::Solver>> makeSolver(const formats::World& world, const stream::Streamer& streamer,
                                                     std::shared_ptr<runtime::VkContext> context,

@@ -45,7 +45,8 @@ TEST_F(Recommendation, IsNothingWhereNoneWasStored) {
 
 TEST_F(Recommendation, IsWhatTheFileSaysAndIgnoresWhatItDoesNotKnow) {
   const auto choice = read(R"({"solver": "multibounce", "storage": "fp16", "luminance": true, "places": 2048,
-                               "iterations": 2, "measured_by": {"version": 7}})");
+                               "iterations": 2, "radius_m": 10.5, "growth": 2, "max_patches": 3000,
+                               "measured_by": {"version": 7}})");
   ASSERT_TRUE(choice) << choice.error().line();
   ASSERT_TRUE(choice->has_value());
   EXPECT_EQ((**choice).kind, SolverKind::kMultibounce);
@@ -53,9 +54,13 @@ TEST_F(Recommendation, IsWhatTheFileSaysAndIgnoresWhatItDoesNotKnow) {
   EXPECT_TRUE((**choice).luminance);
   EXPECT_EQ((**choice).places, 2048u);
   EXPECT_EQ((**choice).iterations, 2);
+  EXPECT_EQ((**choice).radius_m, 10.5f);
+  EXPECT_EQ((**choice).growth, 2.0f);
+  EXPECT_EQ((**choice).max_patches, 3000u);
   const auto least = read(R"({"solver": "gather"})");
   ASSERT_TRUE(least && least->has_value());
   EXPECT_EQ((**least).kind, SolverKind::kGather);
+  EXPECT_FALSE((**least).radius_m || (**least).growth || (**least).max_patches);
 }
 
 TEST_F(Recommendation, ThatMakesNoSenseIsRefusedByName) {
@@ -69,7 +74,14 @@ TEST_F(Recommendation, ThatMakesNoSenseIsRefusedByName) {
                                                        {R"({"solver": "gather", "luminance": 1})", "luminance"},
                                                        {R"({"solver": "gather", "places": 0})", "places"},
                                                        {R"({"solver": "gather", "places": 1e9})", "places"},
-                                                       {R"({"solver": "gather", "iterations": -1})", "iterations"}};
+                                                       {R"({"solver": "gather", "iterations": -1})", "iterations"},
+                                                       {R"({"solver": "gather", "radius_m": 0})", "radius_m"},
+                                                       {R"({"solver": "gather", "radius_m": 1e300})", "radius_m"},
+                                                       {R"({"solver": "gather", "radius_m": "12"})", "radius_m"},
+                                                       {R"({"solver": "gather", "growth": 0.9})", "growth"},
+                                                       {R"({"solver": "gather", "growth": null})", "growth"},
+                                                       {R"({"solver": "gather", "max_patches": 0})", "max_patches"},
+                                                       {R"({"solver": "gather", "max_patches": 4294967296})", "max_patches"}};
   for (const auto& [json, place] : wrong) {
     const auto refused = read(json);
     ASSERT_FALSE(refused) << json;

@@ -1,8 +1,10 @@
 #include "runtime/formfield.h"
 
 #include <cmath>
+#include <fstream>
 #include <thread>
 
+#include "runtime/choose_solver.h"
 #include "runtime/updater.h"
 #include "tests/runtime/test_world.h"
 #include "tests/stream/counted_memory.h"
@@ -130,6 +132,47 @@ TEST_F(Formfield, TheMapOfSlotsNamesEveryPatchAndChangesWithTheCutAlone) {
   formfieldTiles(world_, nullptr, &again);
   EXPECT_NE(change, again);
   EXPECT_NE(slots, patchSlots());
+}
+
+TEST_F(Formfield, TheCutThatIsRecommendedBesideTheWorldHoldsWhereTheCallerLeavesTheDefaults) {
+  const auto leaves = [&] {
+    open();
+    frame({30, 1, 30});
+    EXPECT_EQ(formfieldSettle(world_, 1e-3f, 10), FORMFIELD_OK);
+    const uint32_t fine = stats().level0_leaves;
+    formfieldCloseWorld(world_);
+    world_ = nullptr;
+    return fine;
+  };
+  FormfieldWorldSettings defaults;
+  formfieldDefaultWorldSettings(&defaults);
+  const uint32_t at_8_m = leaves();
+  settings_.radius_m = defaults.radius_m;
+  const uint32_t at_default = leaves();
+  ASSERT_LT(at_8_m, at_default);
+  settings_.max_patches = 80;
+  const uint32_t few = leaves();
+  ASSERT_LT(few, at_8_m);
+  settings_.max_patches = defaults.max_patches;
+
+  const auto recommend = [&](const char* json) {
+    std::ofstream(settingsPath(test_.world().path())) << json;
+  };
+  recommend(R"({"solver": "gather", "radius_m": 8})");
+  EXPECT_EQ(leaves(), at_8_m);
+  recommend(R"({"solver": "gather", "max_patches": 80})");
+  EXPECT_EQ(leaves(), few);
+  settings_.max_patches = 4000;  // the caller's own, which is room enough
+  EXPECT_EQ(leaves(), at_default);
+  recommend(R"({"solver": "gather", "radius_m": 8})");
+  settings_.radius_m = 12.5f;
+  const uint32_t own = leaves();
+  recommend(R"({"solver": "gather"})");
+  EXPECT_EQ(leaves(), own);
+  recommend(R"({"solver": "gather", "radius_m": 8})");
+  settings_.radius_m = defaults.radius_m;
+  settings_.solver = FORMFIELD_SOLVER_GATHER;  // no more `auto`
+  EXPECT_EQ(leaves(), at_default);
 }
 
 TEST_F(Formfield, DirectLightBySlotIsAsGoodAsByCallback) {
