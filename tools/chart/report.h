@@ -61,7 +61,7 @@ struct Series {
   std::string name{};
   struct Point {
     double x = 0, y = 0, y_error = 0;
-    std::string hover{};               // one line; empty: the numbers
+    std::string hover{};               // a few lines; empty: the numbers
     bool marked = false;               // on the front, the default, ...: drawn larger, with a ring
     double x_error = 0;
     std::string label{};               // a word or two beside the point
