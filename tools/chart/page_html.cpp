@@ -28,7 +28,8 @@ figure{margin:0;min-width:0}figure svg,figure img{display:block;width:100%;heigh
 table{border-collapse:collapse;font-size:.86rem;line-height:1.35}
 td,th{padding:.34rem .7rem;vertical-align:top}
 .data thead th{border-bottom:2px solid var(--rule);font-weight:600;text-align:right;vertical-align:bottom}
-.data thead tr:first-child th[colspan]{text-align:center;border-bottom:1px solid var(--rule)}
+.data thead tr:first-child th[colspan]{text-align:left;border-bottom:1px solid var(--rule)}
+.data thead tr:first-child:not(:last-child) th:not([colspan]){border:0}
 .data td{border-bottom:1px solid var(--rule);text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
 .data td.word,.data thead th.word{text-align:left}
 .data td.said{white-space:normal;min-width:14rem;text-align:left}
@@ -37,13 +38,16 @@ td,th{padding:.34rem .7rem;vertical-align:top}
 .front td:first-child{font-weight:600}.front td:first-child::after{content:" \25CF";color:var(--accent)}
 .data tr.default td{background:var(--band)}
 th.sorts{cursor:pointer}th.sorts:hover{color:var(--accent)}
+#tip{position:fixed;display:none;pointer-events:none;white-space:pre-line;max-width:28rem;padding:.5rem .7rem;border-radius:6px;
+font-size:.8rem;line-height:1.45;background:var(--ink);color:var(--paper);box-shadow:0 2px 8px #0004;z-index:2}
 th.up::after{content:" \2191"}th.down::after{content:" \2193"}
 footer{margin-top:3.5rem;padding-top:1rem;border-top:1px solid var(--rule)}
 code{font:.86rem/1.5 ui-monospace,"SFMono-Regular",Menlo,Consolas,"Liberation Mono",monospace;overflow-wrap:anywhere}
 )";
 
-// Columns sort by what their cells hold in data-v; those without go last, whichever way.
-constexpr const char* kSorting = R"(
+// Columns sort by what their cells hold in data-v; those without go last, whichever way. What a point says comes up at
+// once, where the browser alone would show its title after a while.
+constexpr const char* kScripts = R"(
 document.querySelectorAll("table.data").forEach(function(t){
  t.querySelectorAll("th[data-c]").forEach(function(h){
   h.classList.add("sorts");
@@ -56,6 +60,17 @@ document.querySelectorAll("table.data").forEach(function(t){
     if(p||q)return p-q;
     var n=isNaN(x.v)||isNaN(y.v)?x.v.localeCompare(y.v):x.v-y.v;
     return down?-n:n}).forEach(function(o){b.appendChild(o.r)})})})});
+var tip=document.body.appendChild(document.createElement("div"));tip.id="tip";
+document.addEventListener("pointerover",function(e){
+ var p=e.target.closest?e.target.closest(".point"):null;
+ if(!p){tip.style.display="none";return}
+ var t=p.querySelector("title");
+ if(t){p.setAttribute("aria-label",t.textContent);t.remove()}
+ tip.textContent=p.getAttribute("aria-label");tip.style.display="block";
+ var r=p.getBoundingClientRect(),w=tip.offsetWidth,h=tip.offsetHeight;
+ tip.style.left=Math.max(4,Math.min(r.right+8,innerWidth-w-12))+"px";
+ tip.style.top=(r.top-h-8>4?r.top-h-8:r.bottom+8)+"px"});
+addEventListener("scroll",function(){tip.style.display="none"},{passive:true});
 )";
 
 std::string paragraph(const std::string& text, const char* classes) {
@@ -84,13 +99,16 @@ struct Column {
   std::string (*cell_of)(const Setting&);
 };
 
-const Column kCosts[] = {
+// What is asked first stands before the errors, the rest behind them.
+const std::vector<Column> kFirstCosts = {
     {"relight, ms", [](const Setting& s) { return measured(s.relight_ms.value); },
      [](const Setting& s) { return cell(s.relight_ms); }},
-    {"update, ms a tile", [](const Setting& s) { return measured(s.update_ms_per_tile.value); },
-     [](const Setting& s) { return cell(s.update_ms_per_tile); }},
     {"memory, MiB", [](const Setting& s) { return measured(s.memory_bytes); },
      [](const Setting& s) { return cell(s.memory_bytes, 1 / kMiB); }},
+};
+const std::vector<Column> kOtherCosts = {
+    {"update, ms a tile", [](const Setting& s) { return measured(s.update_ms_per_tile.value); },
+     [](const Setting& s) { return cell(s.update_ms_per_tile); }},
     {"disk, MiB", [](const Setting& s) { return measured(s.disk_bytes); },
      [](const Setting& s) { return cell(s.disk_bytes, 1 / kMiB); }},
     {"bake, s", [](const Setting& s) { return measured(s.bake_seconds); },
@@ -100,13 +118,20 @@ const Column kCosts[] = {
      [](const Setting& s) { return cell(s.active_nodes); }},
 };
 
+std::vector<Column> known(const std::vector<Column>& columns, const std::vector<Setting>& settings) {
+  std::vector<Column> some;
+  for (const Column& c : columns)
+    if (std::any_of(settings.begin(), settings.end(), c.known)) some.push_back(c);
+  return some;
+}
+
 struct AccuracyColumn {
   const char* name;
   Figure Accuracy::*figure;
 };
 constexpr AccuracyColumn kErrors[] = {{"rel. L2, %", &Accuracy::rel_l2}, {"median, %", &Accuracy::median},
                                       {"95th, %", &Accuracy::p95},       {"99th, %", &Accuracy::p99},
-                                      {"energy, %", &Accuracy::energy},  {"run time's share, %", &Accuracy::full_solve_rel_l2}};
+                                      {"energy, %", &Accuracy::energy},  {"run time alone, %", &Accuracy::full_solve_rel_l2}};
 
 const Accuracy* find(const Setting& s, const std::string& light) {
   for (const Accuracy& a : s.accuracy)
@@ -138,9 +163,7 @@ std::vector<LightColumns> lightColumns(const std::vector<Setting>& settings) {
 
 std::string settingsTable(const std::vector<Setting>& settings) {
   if (settings.empty()) return "";
-  std::vector<Column> costs;
-  for (const Column& c : kCosts)
-    if (std::any_of(settings.begin(), settings.end(), c.known)) costs.push_back(c);
+  const std::vector<Column> first = known(kFirstCosts, settings), others = known(kOtherCosts, settings);
   const std::vector<LightColumns> lights = lightColumns(settings);
   const bool notes = std::any_of(settings.begin(), settings.end(), [](const Setting& s) { return !s.note.empty(); });
 
@@ -152,15 +175,17 @@ std::string settingsTable(const std::vector<Setting>& settings) {
   std::string out = "<h2 id=\"settings\">All settings</h2>\n<div class=\"wide\"><table class=\"data\"><thead>\n";
   if (!lights.empty()) {
     out += "<tr><th></th><th></th>";
-    for (size_t i = 0; i < costs.size(); ++i) out += "<th></th>";
+    for (size_t i = 0; i < first.size(); ++i) out += "<th></th>";
     for (const LightColumns& l : lights)
       out += "<th colspan=\"" + std::to_string(l.errors.size()) + "\">error, " + escaped(l.light) + "</th>";
-    out += notes ? "<th></th></tr>\n" : "</tr>\n";
+    for (size_t i = 0; i < others.size() + (notes ? 1 : 0); ++i) out += "<th></th>";
+    out += "</tr>\n";
   }
   out += "<tr>" + head("setting", "word") + head("varies", "word");
-  for (const Column& c : costs) out += head(c.name);
+  for (const Column& c : first) out += head(c.name);
   for (const LightColumns& l : lights)
     for (const AccuracyColumn& e : l.errors) out += head(e.name);
+  for (const Column& c : others) out += head(c.name);
   if (notes) out += head("note", "word");
   out += "</tr></thead>\n<tbody>\n";
   for (const Setting& s : settings) {
@@ -168,11 +193,12 @@ std::string settingsTable(const std::vector<Setting>& settings) {
     if (s.on_front) classes += classes.empty() ? "front" : " front";
     out += classes.empty() ? "<tr>" : "<tr class=\"" + classes + "\">";
     out += cell(s.name, s.name, "word") + cell(s.varies, s.varies, "word");
-    for (const Column& c : costs) out += c.cell_of(s);
+    for (const Column& c : first) out += c.cell_of(s);
     for (const LightColumns& l : lights) {
       const Accuracy* a = find(s, l.light);
       for (const AccuracyColumn& e : l.errors) out += a ? cell(a->*e.figure, 100) : cell(kNotMeasuredText, "");
     }
+    for (const Column& c : others) out += c.cell_of(s);
     if (notes) out += cell(s.note, s.note, "said");
     out += "</tr>\n";
   }
@@ -254,7 +280,7 @@ std::string htmlPage(const Report& report, const std::vector<std::string>& pictu
   out += chartFigures(report.charts) + pictureFigures(report, picture_data) + settingsTable(report.settings);
   for (const Table& t : report.tables) out += tableSection(t);
   if (command) out += "<footer>Made by <code>" + escaped(report.facts.back().second) + "</code></footer>\n";
-  return out + "<script>" + kSorting + "</script>\n</body>\n</html>\n";
+  return out + "<script>" + kScripts + "</script>\n</body>\n</html>\n";
 }
 
 }  // namespace ff::chart

@@ -7,7 +7,7 @@
 
 namespace ff::chart {
 
-// Needs nothing from elsewhere; without scripts only sorting is lost. `picture_data`: of report.pictures, in their order,
+// Needs nothing from elsewhere; without scripts only sorting is lost, and that points speak at once. `picture_data`: of report.pictures, in their order,
 // data URIs.
 std::string htmlPage(const Report& report, const std::vector<std::string>& picture_data);
 

@@ -104,7 +104,7 @@ Drawing::Drawing(const Chart& chart)
     if (shown == 0) continue;
     if (series.dots) {
       d.look = "c" + std::to_string(coloured % kSeriesColours.size());
-      d.shape = kShapes[coloured % kShapes.size()];
+      d.shape = kShapes[(coloured + coloured / kSeriesColours.size()) % kShapes.size()];  // another pair each time around
       if (coloured >= kSeriesColours.size()) d.dashes = " stroke-dasharray=\"7 4\"";
       ++coloured;
     } else if (references++ > 0) {
@@ -300,7 +300,13 @@ void Drawing::pointLabels() {
       if (at.point->label.empty()) continue;
       const std::string words = shortened(at.point->label, 30);
       const LabelBox box = places_.take(aroundPoint(at.x, at.y, widthInEms(words) * kText));
-      text((box.x0 + box.x1) / 2, box.y1 - 3, words, "halo strong", "middle");
+      // Beside the point the near end is the one that must be in place, however wide the words turn out.
+      if (box.x0 > at.x)
+        text(box.x0, box.y1 - 3, words, "halo strong");
+      else if (box.x1 < at.x)
+        text(box.x1, box.y1 - 3, words, "halo strong", "end");
+      else
+        text((box.x0 + box.x1) / 2, box.y1 - 3, words, "halo strong", "middle");
     }
 }
 
