@@ -15,10 +15,10 @@ void addProduct(const float* a, uint32_t k, const float* b, Element* matrix, siz
                 uint32_t row_end, uint32_t columns) {
   for (uint32_t column = 0; column < columns; ++column)
     for (uint32_t row = row_begin; row < row_end; row += kP) {
-      const float* panel = a + size_t{row / kP} * k * kP;
+      const float* panel = a + panelIndex(row, 0);
       float sum[kP] = {};
       for (uint32_t p = 0; p < k; ++p)
-        for (uint32_t i = 0; i < kP; ++i) sum[i] += panel[p * kP + i] * b[size_t{column} * kMaxBlock + p];
+        for (uint32_t i = 0; i < kP; ++i) sum[i] += panel[p * kP + i] * b[size_t{column} * kFactorStride + p];
       Element* at = matrix + column * column_stride + row;
       for (uint32_t i = 0; i < kP; ++i) store(at + i, load(at + i) + sum[i] * kStoredScale<Element>);
     }
@@ -51,7 +51,7 @@ void gatherColumns(const Element* matrix, size_t column_stride, uint32_t row_beg
         const float factor = v.value[e] * v.weight[v.index[e]] / kStoredScale<Element>;
         for (uint32_t i = 0; i < kP; ++i) sum[i] += load(column + i) * factor;
       }
-      for (uint32_t i = 0; i < kP; ++i) out[(size_t{row / kP} * v.k + p) * kP + i] = sum[i];
+      for (uint32_t i = 0; i < kP; ++i) out[panelIndex(row + i, p)] = sum[i];
     }
 }
 
@@ -64,7 +64,7 @@ void gatherRows(const Element* matrix, size_t column_stride, uint32_t first_colu
       for (uint32_t e = v.start[p]; e < v.start[p + 1]; ++e)
         sum += load(matrix + column * column_stride + v.index[e]) *
                (v.value[e] * v.weight[v.index[e]] / kStoredScale<Element>);
-      out[size_t{column} * kMaxBlock + p] = sum;
+      out[size_t{column} * kFactorStride + p] = sum;
     }
 }
 

@@ -11,6 +11,15 @@
 namespace ff::runtime {
 
 inline constexpr uint32_t kPanelRows = 16;  // rows of matrices are padded to a multiple
+// The two factors of an update, `tall` (rows x rank) and `wide` (rank x columns), have room for two blocks.
+inline constexpr uint32_t kMostRank = 2 * kMaxBlock;
+inline constexpr uint32_t kFactorStride = kMostRank + kPanelRows;  // of `wide`, from column to column
+
+// Where `tall` holds a value: panels of 16 rows.
+inline size_t panelIndex(uint32_t row, uint32_t p) {
+  return (size_t{row / kPanelRows} * kMostRank + p) * kPanelRows + row % kPanelRows;
+}
+
 // Stored fp16 is 8 times the value: 7.6e-6 and above are normal numbers, and 8191 (above the most that a clamped albedo
 // allows) does not overflow.
 inline constexpr float kHalfScale = 8;
@@ -32,8 +41,8 @@ struct SparseVectors {
 // Row ranges are multiples of kPanelRows. column_stride: elements from one column to the next.
 template <class Element>
 struct BounceKernels {
-  // matrix[rows, columns] += a b. a: panels of 16 rows, a[(row / 16 * k + p) * 16 + row % 16]; b: b[column * 64 + p].
-  // Columns are numbered from those of `matrix` and `b`.
+  // matrix[rows, columns] += a b, k products each. a: a[panelIndex(row, p)]; b: b[column * kFactorStride + p]. Columns are
+  // numbered from those of `matrix` and `b`.
   void (*addProduct)(const float* a, uint32_t k, const float* b, Element* matrix, size_t column_stride,
                      uint32_t row_begin, uint32_t row_end, uint32_t columns);
   // out[rows] += sum of matrix[rows, columns[i]] * factor[i].
@@ -42,10 +51,10 @@ struct BounceKernels {
   // The same with three factors and three results at once.
   void (*addColumns3)(const Element* matrix, size_t column_stride, uint32_t row_begin, uint32_t row_end,
                       const uint32_t* columns, const float* const factors[3], uint32_t count, float* const out[3]);
-  // out[rows, p] = sum over vector p of matrix[rows, index] * value * weight; out in panels as `a` above.
+  // out[rows, p] = sum over vector p of matrix[rows, index] * value * weight; in out[panelIndex(row, p)].
   void (*gatherColumns)(const Element* matrix, size_t column_stride, uint32_t row_begin, uint32_t row_end,
                         const SparseVectors& vectors, float* out);
-  // out[column * 64 + p] = sum over vector p of matrix[index, column] * value * weight, for 16 columns from
+  // out[column * kFactorStride + p] = sum over vector p of matrix[index, column] * value * weight, for 16 columns from
   // `first_column`. blocks: the blocks of 8 rows that hold all indices. scratch: 16 floats per row of the matrix.
   void (*gatherRows)(const Element* matrix, size_t column_stride, uint32_t first_column, const uint32_t* blocks,
                      uint32_t block_count, const SparseVectors& vectors, float* scratch, float* out);

@@ -27,7 +27,7 @@ FF_AVX2 inline void addTile(const float* a, uint32_t k, const float* b, Element*
                             uint32_t row_begin, uint32_t row_end, bool more) {
   const __m256 scale = _mm256_set1_ps(kStoredScale<Element>);
   for (uint32_t row = row_begin; row < row_end; row += kP) {
-    const float* panel = a + size_t{row / kP} * k * kP;
+    const float* panel = a + panelIndex(row, 0);
     Element* at = matrix + row;
     if (more)
       for (uint32_t n = 0; n < Columns; ++n)
@@ -39,7 +39,7 @@ FF_AVX2 inline void addTile(const float* a, uint32_t k, const float* b, Element*
       const __m256 a0 = _mm256_loadu_ps(panel + p * kP), a1 = _mm256_loadu_ps(panel + p * kP + 8);
 #pragma GCC unroll 6
       for (uint32_t n = 0; n < Columns; ++n) {
-        const __m256 factor = _mm256_broadcast_ss(b + n * kMaxBlock + p);
+        const __m256 factor = _mm256_broadcast_ss(b + n * kFactorStride + p);
         low[n] = _mm256_fmadd_ps(a0, factor, low[n]);
         high[n] = _mm256_fmadd_ps(a1, factor, high[n]);
       }
@@ -58,12 +58,12 @@ FF_AVX2 void addProduct(const float* a, uint32_t k, const float* b, Element* mat
                         uint32_t row_begin, uint32_t row_end, uint32_t columns) {
   for (; columns >= kTileColumns; columns -= kTileColumns) {
     addTile<kTileColumns>(a, k, b, matrix, column_stride, row_begin, row_end, columns >= 2 * kTileColumns);
-    b += kTileColumns * kMaxBlock;
+    b += kTileColumns * kFactorStride;
     matrix += kTileColumns * column_stride;
   }
   for (; columns >= 2; columns -= 2) {
     addTile<2>(a, k, b, matrix, column_stride, row_begin, row_end, false);
-    b += 2 * kMaxBlock;
+    b += 2 * kFactorStride;
     matrix += 2 * column_stride;
   }
   if (columns > 0) addTile<1>(a, k, b, matrix, column_stride, row_begin, row_end, false);
@@ -145,7 +145,7 @@ FF_AVX2 inline void gatherTile(const Element* matrix, size_t column_stride, uint
     }
 #pragma GCC unroll 8
     for (uint32_t i = 0; i < Vectors8; ++i)
-      _mm256_storeu_ps(out + (size_t{(row + 8 * i) / kP} * v.k + p) * kP + 8 * i % kP, sum[i]);
+      _mm256_storeu_ps(out + panelIndex(row + 8 * i, p), sum[i]);
   }
 }
 
@@ -213,7 +213,7 @@ FF_AVX2 void gatherRows(const Element* matrix, size_t column_stride, uint32_t fi
     alignas(32) float sum[kP];
     _mm256_store_ps(sum, _mm256_add_ps(even0, odd0));
     _mm256_store_ps(sum + 8, _mm256_add_ps(even1, odd1));
-    for (uint32_t n = 0; n < kP; ++n) out[size_t{first_column + n} * kMaxBlock + p] = sum[n];
+    for (uint32_t n = 0; n < kP; ++n) out[size_t{first_column + n} * kFactorStride + p] = sum[n];
   }
 }
 

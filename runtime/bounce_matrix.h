@@ -43,7 +43,7 @@ struct BounceStats {
   uint64_t entered = 0, left = 0;  // nodes
   uint64_t clamped = 0;            // albedos lowered because a row sum times albedo would reach 1
   double last_update_ms = 0, last_relight_ms = 0;
-  uint32_t pending_columns = 0;  // columns that still await an update (time-sliced implementations)
+  uint32_t pending_columns = 0;  // columns that still await an update
 };
 
 // One caller at a time. No call allocates after create(), errors aside.
@@ -55,12 +55,12 @@ class BounceMatrix {
   // Errors (kInvalidFile): a block whose S C is so near 1 that K = (I - S C_P)^-1 has no correct digits; the matrix is
   // then as before.
   virtual Result<void> insert(const EnteringBlock& block) = 0;
-  // places: any number that are present, each once.
+  // places: any number that are present, each once. After an error only clear() and the destructor make sense.
   virtual Result<void> remove(std::span<const uint32_t> places) = 0;
   // Forgets all nodes.
   virtual Result<void> clear() = 0;
-  // An update may leave columns for later (time slicing): relight() is exact all the same. Brings at most so many up to
-  // date; returns how many are left. Implementations that are always up to date return 0.
+  // An update may leave columns for later: relight() is exact all the same. Brings at most so many up to date; returns
+  // how many are left. Implementations that are always up to date return 0.
   virtual Result<uint32_t> advance(uint32_t columns) = 0;
   // E = G M, W/m2: irradiance of every place from the radiosity that leaves every place without bounces. M values each;
   // free places have irradiance 0.
@@ -76,7 +76,9 @@ struct MultibounceSettings {
   uint32_t places = 4096;
   Storage storage = Storage::kFloat32;
   bool luminance = false;   // one matrix for the mean of the channels' albedos instead of three; measured, not exact
-  bool time_slice = false;  // insert() and remove() leave the matrix pass to advance()
+  // The pass over the matrix that brings updates in is left to advance(), and relight() makes do with what there is.
+  // Otherwise it is made before the next light, or by the update itself.
+  bool time_slice = false;
   int threads = 0;          // CPU: 0 = all cores
 };
 

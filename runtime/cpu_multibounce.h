@@ -1,13 +1,5 @@
-// The multi-bounce matrix on the CPU: exact block updates of G = (I - F C)^-1 F (bounce_matrix.h).
-//
-// With P the nodes that enter and L those there (Schur complement of I - F C, one matrix per colour channel):
-//   U = F_LP + G C F_LP, V = F_PL + F_PL C G, S = F_PP + F_PL C U, K = (I - S C_P)^-1,
-//   G_PP = K S, G_LP = U (I - C_P S)^-1, and G_LL += (U C_P) W, G_PL = W with W = K V.
-// Lowering albedos of Q by -D (leaving is lowering to zero): G += G_LQ D (I - G_QQ D)^-1 G_QL.
-// Either way the matrix changes by one product of a tall and a wide matrix; it is kept as these two factors and folded
-// in column by column, so that relight() is exact while an update is under way.
-//
-// U and V follow the sparsity of the block (about 100 entries a node). Cost follows the highest place in use.
+// The multi-bounce matrix on the CPU: exact block updates of G = (I - F C)^-1 F (bounce_matrix.h). The mathematics and the
+// matrices themselves are in bounce_planes.h; here is which node sits where, and light.
 #pragma once
 #include <memory>
 

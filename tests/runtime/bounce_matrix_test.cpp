@@ -42,6 +42,42 @@ TEST(CpuMultibounce, HasTheSameBitsForAnyNumberOfThreadsSlicedOrNot) {
   }
 }
 
+// Updates go on from factors that are not in the matrix yet, up to kMostRank of them; a refused one leaves them alone.
+TEST(CpuMultibounce, ManySmallUpdatesShareAPassAndAreExactInBetween) {
+  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 40});
+  auto made = makeCpuMultibounce({.places = 200, .time_slice = true, .threads = 2});
+  ASSERT_TRUE(made);
+  Placement at(scene, 200);
+  enter(**made, at, upTo(120), kMaxBlock);
+  while (*(*made)->advance(kMaxSlots) > 0) continue;
+  const std::vector<Vec4> source = randomLight(200, 1);
+  std::mt19937_64 random(3);
+  std::vector<uint32_t> in = upTo(120), out;
+  for (uint32_t p = 120; p < 300; ++p) out.push_back(p);
+  for (uint32_t step = 0; step < 200; ++step) {  // grows, shrinks, and reuses places that left a moment ago
+    const bool grow = step % 60 < 40 && !out.empty();
+    auto &from = grow ? out : in, &to = grow ? in : out;
+    const size_t pick = random() % from.size();
+    const std::vector<uint32_t> one{from[pick]};
+    to.push_back(one[0]);
+    from.erase(from.begin() + static_cast<std::ptrdiff_t>(pick));
+    if (grow && at.places() - in.size() < 2) break;
+    grow ? enter(**made, at, one, 1) : leave(**made, at, one);
+    if (step % 128 == 127) {
+      EXPECT_GT((*made)->stats().pending_columns, 0u) << "128 single updates fit without a pass";
+      const std::vector<uint32_t> places{198, 199}, row_start{0, 1, 2}, columns{199, 198}, none{0, 0, 0};
+      const std::vector<Vec4> albedo(2, {0.9f, 0.9f, 0.9f, 0});
+      const std::vector<float> values(2, 1.3f);
+      EXPECT_FALSE((*made)->insert({places, albedo, row_start, columns, values, none, {}, {}}));
+    }
+    if (step % 10 == 9) {
+      ASSERT_LE(relativeError(relit(**made, source), exactIrradiance(at, source)), 5e-6) << step;
+    }
+  }
+  while (*(*made)->advance(29) > 0) continue;
+  EXPECT_LE(relativeError(relit(**made, source), exactIrradiance(at, source)), 5e-6);
+}
+
 // The oscillation is the worst walk: nodes that stay gather the rounding of every update.
 TEST(CpuMultibounce, AHundredThousandSwapsLeaveNoTrace) {
   const PatchSet scene = makeScene({.patches = 512, .entries_per_row = 60});
@@ -147,7 +183,7 @@ void compareKernels() {
     else
       m = uniform();
   }
-  std::vector<float> a(rows * k), b(columns * kMaxBlock), weight(rows), factor[3];
+  std::vector<float> a(rows * kMostRank), b(columns * kFactorStride), weight(rows), factor[3];
   for (auto* v : {&a, &b, &weight})
     for (float& x : *v) x = uniform();
   std::vector<uint32_t> start{0}, index, list;
@@ -186,12 +222,12 @@ void compareKernels() {
   portable.addColumns3(matrix.data(), stride, 16, rows, list.data(), factors, 23, out0);
   fast.addColumns3(matrix.data(), stride, 16, rows, list.data(), factors, 23, out1);
   for (int c = 0; c < 3; ++c) same(e1[c], e0[c]);
-  std::vector<float> g0(rows * k), g1(rows * k);
+  std::vector<float> g0(rows * kMostRank), g1(rows * kMostRank);
   portable.gatherColumns(matrix.data(), stride, 0, rows, vectors, g0.data());
   fast.gatherColumns(matrix.data(), stride, 0, rows, vectors, g1.data());
   same(g1, g0);
   const std::vector<uint32_t> blocks{0, 1, 2, 3, 4, 5};
-  std::vector<float> scratch(rows * kPanelRows), r0(columns * kMaxBlock), r1(columns * kMaxBlock);
+  std::vector<float> scratch(rows * kPanelRows), r0(columns * kFactorStride), r1(columns * kFactorStride);
   portable.gatherRows(matrix.data(), stride, 16, blocks.data(), 6, vectors, scratch.data(), r0.data());
   fast.gatherRows(matrix.data(), stride, 16, blocks.data(), 6, vectors, scratch.data(), r1.data());
   same(r1, r0);

@@ -1,0 +1,65 @@
+// Which places of a dense matrix are taken, and what all such matrices check of their callers.
+#pragma once
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "formats/result.h"
+#include "runtime/bounce_matrix.h"
+
+namespace ff::runtime {
+
+class Places {
+ public:
+  explicit Places(uint32_t capacity) : capacity_(capacity), taken_(capacity, 0) {}
+
+  uint32_t capacity() const { return capacity_; }
+  uint32_t used() const { return used_; }  // one past the highest place taken
+  bool taken(uint32_t place) const { return taken_[place] != 0; }
+
+  void take(uint32_t place) {
+    FF_CHECK_LT(place, capacity_);
+    FF_CHECK_EQ(int{taken_[place]}, 0);
+    taken_[place] = 1;
+    used_ = std::max(used_, place + 1);
+  }
+  void give(uint32_t place) {
+    FF_CHECK_LT(place, capacity_);
+    FF_CHECK_EQ(int{taken_[place]}, 1);
+    taken_[place] = 0;
+    while (used_ > 0 && taken_[used_ - 1] == 0) --used_;
+  }
+  void clear() {
+    std::fill(taken_.begin(), taken_.end(), uint8_t{0});
+    used_ = 0;
+  }
+
+  void checkLight(std::span<const Vec4> source, std::span<const Vec4> irradiance) const {
+    FF_CHECK_EQ(source.size(), size_t{capacity_});
+    FF_CHECK_EQ(irradiance.size(), size_t{capacity_});
+  }
+  void checkChange(std::span<const uint32_t> places, std::span<const Vec4> difference,
+                   std::span<const Vec4> irradiance) const {
+    FF_CHECK_EQ(places.size(), difference.size());
+    FF_CHECK_LE(places.size(), size_t{capacity_});
+    FF_CHECK_EQ(irradiance.size(), size_t{capacity_});
+  }
+
+ private:
+  uint32_t capacity_, used_ = 0;
+  std::vector<uint8_t> taken_;
+};
+
+// Errors (kUsage): a number of places that no matrix has.
+inline Result<void> checkPlaces(uint32_t places) {
+  if (places > 0 && places <= kMaxSlots) return {};
+  return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxSlots) + " places", ""};
+}
+inline Error tooLittleMemory(uint32_t places, std::string remedy) {
+  return Error{ErrorCode::kUsage, "", "", "not enough memory for a matrix of " + std::to_string(places) + " places",
+               std::move(remedy)};
+}
+
+}  // namespace ff::runtime
