@@ -190,6 +190,21 @@ TEST(SvgChart, NamesFewLinesAtTheirEndsAndOthersInALegend) {
   for (int i = 0; i < 9; ++i) EXPECT_EQ(count(legend, ">line " + std::to_string(i) + "</text>"), 1u);
 }
 
+TEST(SvgChart, KeepsTheLookOfASeriesWhereAnotherHasNoPoints) {
+  Chart chart;
+  for (const char* name : {"a", "b", "c"}) chart.series.push_back({name, {{0, 1}, {1, 2}}, false});
+  const auto lookOfC = [&] {
+    std::smatch found;
+    const std::string svg = svgChart(chart);
+    const std::regex swatch("class=\"(c[0-9])\"[^>]*>(<path class=\"shape\"[^>]*>)</g><text[^>]*>c<");
+    return std::regex_search(svg, found, swatch) ? found.str(1) + found.str(2) : std::string();
+  };
+  const std::string look = lookOfC();
+  EXPECT_EQ(look.substr(0, 2), "c2");
+  chart.series[1].points.clear();
+  EXPECT_EQ(lookOfC(), look);
+}
+
 TEST(SvgChart, IsTheSameForTheSameChart) {
   const Chart chart = lineOf({{1, 2, 0.5, "", true}, {2, 3, 0.1, "", false}});
   EXPECT_EQ(svgChart(chart), svgChart(chart));

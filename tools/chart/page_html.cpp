@@ -24,7 +24,7 @@ p,figcaption,.note{max-width:50rem}figcaption,.note,footer{color:var(--quiet);fo
 .charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(30rem,100%),1fr));gap:2rem 1.5rem}
 figure{margin:0;min-width:0}figure svg,figure img{display:block;width:100%;height:auto}
 .charts figure{border:1px solid var(--rule);border-radius:8px;padding:.4rem .4rem .9rem;overflow:hidden}.charts figcaption{padding:0 .8rem}
-.wide{overflow-x:auto;margin:0 0 .6rem}
+.wide{overflow-x:auto;margin:0 min(0px,(100% - 100vw)/2 + 1.75rem) .6rem 0}
 table{border-collapse:collapse;font-size:.86rem;line-height:1.35}
 td,th{padding:.34rem .7rem;vertical-align:top}
 .data thead th{border-bottom:2px solid var(--rule);font-weight:600;text-align:right;vertical-align:bottom}

@@ -98,11 +98,7 @@ Drawing::Drawing(const Chart& chart)
   for (const Series& series : chart.series) {
     Drawn d;
     d.series = &series;
-    size_t shown = 0;
-    for (const Point& p : series.points) shown += x_.shows(p.x) && y_.shows(p.y) ? 1 : 0;
-    left_out_ += series.points.size() - shown;
-    if (shown == 0) continue;
-    if (series.dots) {
+    if (series.dots) {  // a series without points keeps its colour, so that charts of the same series agree
       d.look = "c" + std::to_string(coloured % kSeriesColours.size());
       d.shape = kShapes[(coloured + coloured / kSeriesColours.size()) % kShapes.size()];  // another pair each time around
       if (coloured >= kSeriesColours.size()) d.dashes = " stroke-dasharray=\"7 4\"";
@@ -110,7 +106,10 @@ Drawing::Drawing(const Chart& chart)
     } else if (references++ > 0) {
       d.dashes = " stroke-dasharray=\"" + std::to_string(2 * references) + " 3\"";
     }
-    drawn_.push_back(std::move(d));
+    size_t shown = 0;
+    for (const Point& p : series.points) shown += x_.shows(p.x) && y_.shows(p.y) ? 1 : 0;
+    left_out_ += series.points.size() - shown;
+    if (shown > 0) drawn_.push_back(std::move(d));
   }
   choosePlaces();
   for (Drawn& d : drawn_) {

@@ -22,7 +22,7 @@ std::string chartStyle() {
          ".ffc .line{fill:none;stroke:currentColor;stroke-width:2;stroke-linejoin:round;stroke-linecap:round}"
          ".ffc .reference{fill:none;stroke:#9aa0a6;stroke-width:1.4;stroke-linejoin:round}"
          ".ffc .bar{fill:none;stroke:currentColor;stroke-width:1.1;opacity:.75}"
-         ".ffc .lead{stroke:currentColor;stroke-width:1;opacity:.6}"
+         ".ffc .lead{stroke:currentColor;stroke-width:1;opacity:.6}.ffc .lead.quiet{stroke:#9aa0a6}"
          ".ffc .shape{fill:currentColor;stroke:#fff;stroke-width:1}"
          ".ffc .ring{fill:none;stroke:currentColor;stroke-width:1.8}"
          ".ffc .hit{fill:transparent;stroke:none}"
