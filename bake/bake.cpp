@@ -152,12 +152,14 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   };
   std::vector<Entry> entries;
   const uint32_t quanta = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
+  std::vector<uint8_t> shines(values.size());
+  for (size_t i = 0; i < values.size(); ++i) shines[i] = !(values[i].node.emission == Vec3{});
   ExchangeRow row;
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
-    sampleRow(row, exchange.area(n), quanta, offset, sampled);
+    sampleRow(row, exchange.area(n), quanta, offset, sampled, shines);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     formats::Node node = values[n].node;
     node.quanta = quanta;
@@ -227,10 +229,11 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
     hits = castRows(scene, *set, *caster, settings.rays, settings.seed, report.done);
   }
   stats.ray_seconds = since(cast_began);
-  std::vector<float> sky(n), whole_area(n);
+  std::vector<float> sky(n), near(n), whole_area(n);
   for (size_t i = 0; i < n; ++i) {
     const double rays = settings.rays, a = static_cast<double>(set->patches[i].area_m2);
     sky[i] = static_cast<float>(hits.sky[i] / rays) / exposedFraction(hits, i);
+    near[i] = static_cast<float>(hits.near[i] / rays);
     stats.sky_fraction += a * hits.sky[i] / rays;
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
     stats.buried_fraction += a * hits.buried[i] / rays;
@@ -243,7 +246,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   stats.absorbed_fraction /= stats.area_m2;
 
   // Pooling and the pyramid.
-  const Hierarchy hierarchy = makeHierarchy(set->patches, sky);
+  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, near);
   std::vector<std::unique_ptr<ExchangeLevel>> exchange;
   std::vector<std::vector<NodeValues>> values;
   values.push_back(patchValues(set->patches, hierarchy));

@@ -100,6 +100,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
   rows.buried.assign(n, 0);
+  rows.near.assign(n, 0);
   rows.sky_direction.assign(n, {});
   std::vector<Chunk> parts(chunks);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
@@ -119,6 +120,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
           sky_sum += ray.direction;
           continue;
         }
+        if (length(hit.point - ray.origin) < set.cell_m / 2) ++rows.near[i];
         const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
         if (j == kNone) {
           ++(isBuried(caster, ray.origin, s.normals[k]) ? rows.buried : rows.absorbed)[i];

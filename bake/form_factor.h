@@ -25,6 +25,7 @@ struct HitRows {
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
+  std::vector<uint32_t> near;            // per patch: hits within half a cell; left behind by renumber()
   std::vector<Vec3> sky_direction;       // per patch: mean over its sky rays
 };
 

@@ -135,7 +135,7 @@ struct UnionFind {
 
 constexpr double kTouch = 2e-3;  // cells
 
-// Labels the pieces of one cell and orientation: pieces that share a corner, or one of whose corners lies on another's
+// Labels the pieces of one cell, orientation and shine: pieces that share a corner, or one of whose corners lies on another's
 // border (T-junctions), get one label.
 UnionFind connect(const std::vector<const Polygon*>& pieces, const std::vector<Cell>& cells) {
   UnionFind sets(pieces.size());
@@ -190,6 +190,9 @@ class PatchBuilder {
     uint32_t orientation;
     uint32_t piece;
     uint32_t back;  // 1: the back of a double-sided piece
+    bool shines;
+    // Sides of one group may share a patch.
+    auto group() const { return std::tuple(key, orientation, shines); }
   };
 
   Result<void> cutTriangles() {
@@ -247,12 +250,14 @@ class PatchBuilder {
     for (uint32_t i = 0; i < pieces_.size(); ++i) {
       const uint64_t key = hilbertKey(pieces_[i].cell);
       const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
-      sides_.push_back({key, o, i, 0});
-      if (scene_.materials[scene_.triangles[pieces_[i].triangle].material].double_sided)
-        sides_.push_back({key, o ^ 1u, i, 1});
+      const Material& material = scene_.materials[scene_.triangles[pieces_[i].triangle].material];
+      const bool shines = !(material.emission == Vec3{});
+      sides_.push_back({key, o, i, 0, shines});
+      if (material.double_sided) sides_.push_back({key, o ^ 1u, i, 1, shines});
     }
     tbb::parallel_sort(sides_.begin(), sides_.end(), [](const Side& a, const Side& b) {
-      return std::tie(a.key, a.orientation, a.piece, a.back) < std::tie(b.key, b.orientation, b.piece, b.back);
+      return std::tie(a.key, a.orientation, a.shines, a.piece, a.back) <
+             std::tie(b.key, b.orientation, b.shines, b.piece, b.back);
     });
   }
 
@@ -260,8 +265,7 @@ class PatchBuilder {
   void formPatches() {
     std::vector<size_t> group_start;
     for (size_t i = 0; i < sides_.size(); ++i)
-      if (i == 0 || sides_[i].key != sides_[i - 1].key || sides_[i].orientation != sides_[i - 1].orientation)
-        group_start.push_back(i);
+      if (i == 0 || sides_[i].group() != sides_[i - 1].group()) group_start.push_back(i);
     group_start.push_back(sides_.size());
     const size_t groups = group_start.size() - 1;
     labels_.resize(sides_.size());  // within the group first
@@ -349,6 +353,7 @@ class PatchBuilder {
         patch.cell = pieces_[side.piece].cell;
         patch.key = side.key;
         patch.orientation = side.orientation;
+        patch.shines = side.shines;
       }
       patch.triangles = triangles - patch.first_triangle;
     }

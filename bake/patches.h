@@ -1,5 +1,5 @@
-// Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class.
-// A thin wall's two sides, and two floors in one cell, are never one patch. Crumbs (components under
+// Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class, and
+// all shine or none. A thin wall's two sides, two floors in one cell, a lamp and its shade are never one patch. Crumbs (components under
 // `crumb_fraction` of a cell face) join the nearest patch of their cell and class. Double-sided surfaces get a patch a side.
 #pragma once
 #include <cstdint>
@@ -17,6 +17,7 @@ struct Patch {
   Cell cell{};
   uint64_t key = 0;         // hilbertKey(cell)
   uint32_t orientation = 0;
+  bool shines = false;      // its material emits; lamps and what holds them never share a patch or a cluster
   float area_m2 = 0;        // cutout holes are not counted
   Vec3 centroid, normal;    // m; area-weighted means
   Vec3 albedo, emission;    // linear RGB; M in W/m2
@@ -33,7 +34,7 @@ struct PatchTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, first piece)
+  std::vector<Patch> patches;            // sorted by (key, orientation, shines, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
   float cell_m = 1;
   double area_m2 = 0;

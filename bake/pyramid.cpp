@@ -16,7 +16,7 @@ constexpr size_t kChunk = 64;  // cluster rows gathered by one task
 
 struct SortKey {
   uint64_t top;     // cell of the coarsest level
-  uint32_t group;   // orientation and openness
+  uint32_t group;   // orientation, openness and shine
   uint64_t key;     // cell of the patch
   uint32_t patch;
   friend bool operator<(const SortKey& a, const SortKey& b) {
@@ -48,13 +48,20 @@ std::vector<uint32_t> cutTiles(uint32_t nodes, std::span<const uint32_t> parents
 
 }  // namespace
 
-uint32_t openness(double sky_fraction) { return sky_fraction < 0.02 ? 0 : sky_fraction < 0.3 ? 1 : 2; }
+uint32_t openness(double sky_fraction, double near_fraction) {
+  if (sky_fraction < 0.02) return near_fraction > 0.5 ? 3 : 0;
+  return sky_fraction < 0.3 ? 1 : 2;
+}
 
-Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction) {
+Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
+                        std::span<const float> near_fraction) {
   const auto n = static_cast<uint32_t>(patches.size());
   std::vector<uint32_t> group(n);
   for (uint32_t i = 0; i < n; ++i)
-    group[i] = patches[i].orientation * 3 + openness(static_cast<double>(sky_fraction[i]));
+  {
+    const double near = near_fraction.empty() ? 0 : static_cast<double>(near_fraction[i]);
+    group[i] = (patches[i].orientation * 4 + openness(static_cast<double>(sky_fraction[i]), near)) * 2 + (patches[i].shines ? 1 : 0);
+  }
   int top = 0;
   size_t count = n;
   while (count > kTopNodes && top + 1 < static_cast<int>(formats::kMaxLevels)) count = countClusters(patches, group, ++top);

@@ -1,5 +1,7 @@
 // The matrix pyramid. A node of level l + 1 gathers the nodes of level l that lie in the same 2x2x2 cells and have the same
-// orientation and openness class (interiors and exteriors must not mix); areas add, exchange areas add.
+// orientation and openness class (interiors, exteriors and crevices must not mix, or the light of a wall seeps into the
+// dark behind it), and shine or do not (a lamp is seen where its
+// shade is not); areas add, exchange areas add.
 //
 // One order serves all levels: patches are sorted by (cell of the coarsest level, class, Hilbert key), so the descendants
 // of any node are consecutive at every level below it.
@@ -17,8 +19,9 @@ namespace ff::bake {
 inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at most this many nodes
 inline constexpr uint32_t kMaxSiblings = 64;
 
-// Openness class of a patch from the fraction of its rays that reach the sky: 0 interior, 1 half open, 2 open.
-uint32_t openness(double sky_fraction);
+// Openness class of a patch from the fraction of its rays that reach the sky: 0 interior, 1 half open, 2 open; and, of an
+// interior one, from the fraction that ends within half a cell: 3 a crevice (behind a skirting board, inside a step).
+uint32_t openness(double sky_fraction, double near_fraction = 0);
 
 struct Hierarchy {
   std::vector<uint32_t> number;  // of patch p in level 0's order
@@ -30,8 +33,9 @@ struct Hierarchy {
   uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
 };
 
-// sky_fraction: per patch.
-Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction);
+// sky_fraction, near_fraction: per patch; the latter may be empty.
+Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
+                        std::span<const float> near_fraction = {});
 
 // What a node carries beside its row, for all nodes of a level.
 struct NodeValues {

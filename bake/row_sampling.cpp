@@ -2,10 +2,25 @@
 
 #include <algorithm>
 #include <cmath>
+#include <tuple>
+#include <utility>
 
 namespace ff::bake {
+namespace {
 
-void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out) {
+// Two ascending runs of columns, the first `lamps` long, become one.
+void mergeColumns(SampledRow& row, ptrdiff_t lamps) {
+  if (lamps == 0 || lamps == static_cast<ptrdiff_t>(row.column.size())) return;
+  std::vector<std::pair<uint32_t, uint16_t>> both(row.column.size());
+  for (size_t k = 0; k < both.size(); ++k) both[k] = {row.column[k], row.count[k]};
+  std::inplace_merge(both.begin(), both.begin() + lamps, both.end());
+  for (size_t k = 0; k < both.size(); ++k) std::tie(row.column[k], row.count[k]) = both[k];
+}
+
+}  // namespace
+
+void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out,
+               std::span<const uint8_t> shines) {
   out.column.clear();
   out.count.clear();
   double sum = row.sky_m2 + row.absorbed_m2;
@@ -24,11 +39,21 @@ void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double of
     const uint32_t reached = std::min(quanta, static_cast<uint32_t>(std::floor(at + offset)));
     return reached - std::exchange(taken, reached);
   };
+  const auto isLamp = [&](size_t k) { return !shines.empty() && shines[row.column[k]]; };
+  for (size_t k = 0; k < row.column.size() && !shines.empty(); ++k)
+    if (isLamp(k))
+      if (const uint32_t n = step(row.area_m2[k]); n > 0) {
+        out.column.push_back(row.column[k]);
+        out.count.push_back(static_cast<uint16_t>(n));
+      }
+  const auto lamps = static_cast<ptrdiff_t>(out.column.size());
   for (size_t k = 0; k < row.column.size(); ++k)
-    if (const uint32_t n = step(row.area_m2[k]); n > 0) {
-      out.column.push_back(row.column[k]);
-      out.count.push_back(static_cast<uint16_t>(n));
-    }
+    if (!isLamp(k))
+      if (const uint32_t n = step(row.area_m2[k]); n > 0) {
+        out.column.push_back(row.column[k]);
+        out.count.push_back(static_cast<uint16_t>(n));
+      }
+  mergeColumns(out, lamps);
   out.sky = step(row.sky_m2);
   out.absorbed = step(row.absorbed_m2);
   // Rounding may leave the last point untaken: it belongs to whatever the row ends with.

@@ -1,8 +1,9 @@
-// Systematic sampling of a row: Q equally spaced points of its cumulative distribution, walked in column order, then sky,
-// then absorbed. Unbiased; every kept entry is a node that rays really met; counts sum to Q exactly, and each is within 1
+// Systematic sampling of a row: Q equally spaced points of its cumulative distribution, walked in column order (lamps
+// first: what a row gets of all lamps together is then within 1/Q), then sky, then absorbed. Unbiased; every kept entry is a node that rays really met; counts sum to Q exactly, and each is within 1
 // of its expectation. (William G. Madow, Lillian H. Madow. On the theory of systematic sampling. 1944.)
 #pragma once
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "bake/pool.h"
@@ -17,6 +18,8 @@ struct SampledRow {
 };
 
 // offset in [0, 1): where the first point lies. 1 <= quanta <= 65535. A row without any exchange is all absorbed.
-void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out);
+// shines: by node of the level, whether it is a lamp; empty: none is.
+void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out,
+               std::span<const uint8_t> shines = {});
 
 }  // namespace ff::bake

@@ -497,8 +497,10 @@ std::vector<Vec3> PathTracer::sunIrradiance(std::span<const uint32_t> patches, c
       const auto u = even.point(k);
       const Start from = state_->start(patches[i], u[0], u[1]);
       if (!from.found) continue;
+      const Vec3 sun = state_->sunOn(from.point, from.normal, light, cast_rays);
+      if (sun == Vec3{} && state_->isInside(from, cast_rays)) continue;  // nobody sees it: no engine would light it
       ++found;
-      sum += state_->sunOn(from.point, from.normal, light, cast_rays);
+      sum += sun;
     }
     if (found) irradiance[i] = sum / static_cast<float>(found);
   });
