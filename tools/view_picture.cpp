@@ -114,6 +114,8 @@ float exposureStops(std::span<const runtime::Vec4> radiosity) {
   return std::min(std::log2(kMiddleGrey) - mean, std::log2(kNearWhite) - bright);
 }
 
+float toneCurve(float x) { return srgb(filmic(x)); }
+
 Picture toneMapped(std::span<const runtime::Vec4> radiosity, uint32_t width, uint32_t height, uint32_t samples,
                    float exposure) {
   static const ToneTable tone;

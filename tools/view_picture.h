@@ -20,6 +20,9 @@ struct Picture {
 // more than a tenth of them to white. 0 if no surface is seen or all are black.
 float exposureStops(std::span<const runtime::Vec4> radiosity);
 
+// A channel of radiosity times exposure as a picture shows it, 0 to 1: the tone curve, then sRGB.
+float toneCurve(float x);
+
 // samples: the radiosity is `samples` times as wide and as high as the picture; each sample goes through the tone curve
 // before the mean, so that edges against bright lamps stay smooth.
 Picture toneMapped(std::span<const runtime::Vec4> radiosity, uint32_t width, uint32_t height, uint32_t samples,

@@ -37,8 +37,8 @@ TEST(BreakingPoint, IsTheFirstNumberPastTheLimitFromEasyToHard) {
   EXPECT_EQ(notFinite(m), "20,000");
   EXPECT_EQ(worst(m), "not finite");
   const Measured holds = made({{100, 0.001}, {100000, 0.002}});
-  EXPECT_EQ(passes(holds, 0.01), "never within 100,000");
-  EXPECT_EQ(notFinite(holds), "never within 100,000");
+  EXPECT_EQ(passes(holds, 0.01), "never to 100,000");
+  EXPECT_EQ(notFinite(holds), "never to 100,000");
   EXPECT_EQ(worst(holds), "0.2 %");
   const Measured lost = made({{1, std::numeric_limits<double>::quiet_NaN()}});
   EXPECT_EQ(passes(lost, 0.01), "1");
@@ -51,7 +51,7 @@ TEST(BreakingPoint, IsNamedWithItsUnitAlsoWhereTheKnobIsTurnedDown) {
   m.unit = "m";
   EXPECT_EQ(passes(m, 0.01), "8 m");
   EXPECT_EQ(passes(m, 0.05), "0.5 m");
-  EXPECT_EQ(passes(m, 0.5), "never within 0.5 m");
+  EXPECT_EQ(passes(m, 0.5), "never to 0.5 m");
 }
 
 TEST(BreakingPoint, DrawsALineUpToWhereItLeavesTheChart) {

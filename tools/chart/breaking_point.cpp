@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
+
+#include "tools/chart/figure_text.h"
 
 namespace ff::chart {
 namespace {
@@ -12,7 +15,7 @@ std::string withUnit(const Measured& m, double at) { return numberText(at) + (m.
 std::string firstPast(const Measured& m, double limit) {
   for (const Measured::Point& p : m.points)
     if (!(p.error <= limit)) return withUnit(m, p.at);
-  return m.points.empty() ? "not run" : "never within " + withUnit(m, m.points.back().at);
+  return m.points.empty() ? "not run" : "never to " + withUnit(m, m.points.back().at);
 }
 
 }  // namespace
@@ -33,9 +36,9 @@ std::string numberText(double x) {
 std::string percentText(double x) {
   if (!std::isfinite(x)) return "not finite";
   const double p = 100 * std::abs(x);
+  if (p > 0 && p < 1e-4) return shortNumber(100 * x) + " %";
   char text[32];
-  std::snprintf(text, sizeof text, p >= 1000 ? "%.1e %%" : p >= 100 ? "%.0f %%" : p >= 0.01 || p == 0 ? "%.2g %%" : "%.0e %%",
-                100 * x);
+  std::snprintf(text, sizeof text, p >= 1000 ? "%.1e %%" : p >= 99.5 ? "%.0f %%" : "%.2g %%", 100 * x);
   return text;
 }
 
@@ -55,7 +58,8 @@ Series seriesOf(const Measured& m, const std::string& name) {
     const bool past = !(p.error <= kMostDrawn);
     series.points.push_back({.x = p.at,
                              .y = past ? kMostDrawn : std::max(p.error, kLeastDrawn),
-                             .hover = name + ", " + m.knob + " " + withUnit(m, p.at) + ": " + percentText(p.error)});
+                             .hover = name + ", " + m.knob + " " + withUnit(m, p.at) + ": " + percentText(p.error),
+                             .label = std::isfinite(p.error) ? "" : "not finite"});
     if (past) break;
   }
   return series;
@@ -68,11 +72,10 @@ Table breakingTable(std::span<const Measured> measured) {
   table.note =
       "Relative L2 error of reflected radiosity unless the case says otherwise; each number is the first of those tried, "
       "from easy to hard.";
-  table.columns = {"case",          "method", "number",    "past 1 % at",
-                   "past 5 % at", "not finite at", "worst", "what the program does then"};
+  table.columns = {"case, and the number", "method", "past 1 %", "past 5 %", "not finite", "worst", "what the program does then"};
   for (const Measured& m : measured)
     table.rows.push_back(
-        {m.scene, m.method, m.knob, passes(m, 0.01), passes(m, 0.05), notFinite(m), worst(m), m.then});
+        {m.scene + ": " + m.knob, m.method, passes(m, 0.01), passes(m, 0.05), notFinite(m), worst(m), m.then});
   return table;
 }
 

@@ -18,7 +18,7 @@ struct Measured {
   std::string then;           // what the program does, with counts
 };
 
-// The first number at which the error is above the limit, as text: "3,200", "0.5 m"; "never within 100,000".
+// The first number at which the error is above the limit, as text: "3,200", "0.5 m"; "never to 100,000".
 std::string passes(const Measured& measured, double limit);
 std::string notFinite(const Measured& measured);
 // The largest error; infinity is "not finite".

@@ -100,7 +100,7 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
     if (progress) progress("albedo " + numberText(rho));
     const SceneSettings scene{.kind = SceneKind::kClosedBox, .patches = 256, .entries_per_row = 60, .albedo = albedo,
                               .seed = options.seed};
-    auto walked = measureWalk({"", scene, WalkKind::kRandom, 256, 32, swaps, swaps}, options.threads);
+    auto walked = measureWalk({"", scene, WalkKind::kRandom, 256, 32, swaps, swaps}, 1);
     if (!walked) return walked.error();
     for (const Measured& m : *walked) {
       double most = m.points.empty() ? std::numeric_limits<double>::infinity() : 0;
@@ -112,7 +112,7 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
     std::vector<uint32_t> present(set.patches());
     for (uint32_t p = 0; p < set.patches(); ++p) present[p] = p;
     const std::vector<Rgb> exact = exactReflected(set, present, light);
-    const auto gathered = gatherFromDark(set, present, light, exact, options.threads);
+    const auto gathered = gatherFromDark(set, present, light, exact, 1);
     if (!gathered) return gathered.error();
     const std::string reached = gathered->reached > 0
                                     ? "1 % after " + numberText(gathered->reached) + " iterations"

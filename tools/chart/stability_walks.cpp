@@ -70,7 +70,7 @@ class Bare final : public Walker {
 
   std::string then() const override {
     const uint64_t lowered = matrix_->stats().clamped;
-    std::string text = refused_ == 0 ? "nothing: it has no probe" : "refused blocks with a message " + times(refused_, "and was built anew");
+    std::string text = refused_ == 0 ? "nothing by itself" : "refused blocks with a message " + times(refused_, "and was built anew");
     if (stopped_) text = "is refused: " + refusal_;
     if (lowered > 0) text += "; lowers albedos: " + numberText(static_cast<double>(lowered));
     return text;
@@ -179,8 +179,14 @@ Result<std::vector<Measured>> measureWalk(const WalkCase& walk, int threads) {
   if (!walkers) return walkers.error();
   Walk path(walk.kind, set.patches(), walk.places, walk.block, walk.scene.seed);
   std::vector<uint32_t> present = path.present();
-  for (auto& walker : *walkers)
+  const std::vector<Rgb> at_first = exactReflected(set, present, light);
+  for (auto& walker : *walkers) {
     if (auto filled = walker->step({{}, present}, present); !filled) return filled.error();
+    if (walker->stopped()) continue;
+    const auto reflected = walker->reflected(present);
+    if (!reflected) return reflected.error();
+    walker->measured.then = "as first built " + percentText(relativeDifference(*reflected, at_first, present));
+  }
   uint32_t next = kFirstCheck;
   for (uint32_t done = 0; done < walk.swaps;) {
     const Walk::Step step = path.next();
@@ -204,13 +210,16 @@ Result<std::vector<Measured>> measureWalk(const WalkCase& walk, int threads) {
   }
   std::vector<Measured> all;
   for (auto& walker : *walkers) {
-    walker->measured.then = walker->then();
+    std::string& then = walker->measured.then;
+    then = walker->then() + (then.empty() ? "" : "; " + then);
     all.push_back(std::move(walker->measured));
   }
   return all;
 }
 
 namespace {
+
+constexpr uint32_t kManyPlaces = 1024;  // below, threads wait for each other more than they work
 
 std::vector<WalkCase> walksOf(const StabilityOptions& o) {
   const uint32_t swaps = o.swaps > 0 ? o.swaps : o.quick ? 2000u : 100000u;
@@ -251,7 +260,7 @@ Result<StabilityPart> stabilityOfWalks(const StabilityOptions& options, const St
   for (const WalkCase& walk : walksOf(options)) {
     const std::string size = "M = " + numberText(walk.places);
     if (progress) progress("drift over swaps: " + walk.name + ", " + size);
-    auto measured = measureWalk(walk, options.threads);
+    auto measured = measureWalk(walk, walk.places < kManyPlaces ? 1 : options.threads);
     if (!measured) return measured.error();
     Chart chart;
     chart.id = "drift-" + std::to_string(part.charts.size() + 1);
