@@ -6,6 +6,7 @@
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/paper_methods.h"
 #include "tools/chart/scene_of_model.h"
+#include "tools/scene_analytic.h"
 #include "tools/scene_town.h"
 
 namespace ff::chart {
@@ -51,22 +52,20 @@ TEST(Paper, DenseMethodsAgreeAndThePyramidBeatsTheConstant) {
 
 // The local matrix holds everything: nothing is beyond, and every exact method is the full solution.
 TEST(Paper, AMatrixOfAllPatchesIsTheFullSolution) {
-  const auto town = tools::makeTown({.patches = tools::kMinTownPatches});
-  ASSERT_TRUE(town);
-  const auto baked = BakedScene::bake(sceneOf(tools::townModel(*town, false)), {.cell_m = 1, .rays = 128});
+  const auto baked = BakedScene::bake(sceneOf(tools::twoRooms(0.5f, 0.7f, 10)), {.cell_m = 1, .rays = 256});
   ASSERT_TRUE(baked) << baked.error().line();
-  const auto truth = solveWorldTruth(baked->world(), false);
-  ASSERT_TRUE(truth);
+  const auto truth = solveWorldTruth(baked->world(), true);
+  ASSERT_TRUE(truth) << truth.error().line();
   const uint32_t all = baked->world().levels()[0].nodes;
-  const auto there = nearestPatches(baked->world(), *truth, {0, 2, 0}, all);
+  const auto there = nearestPatches(baked->world(), *truth, {2, 1.5f, 2}, all);
   ASSERT_TRUE(there);
   ASSERT_EQ(there->activePatches(), all);
-  const auto measured = measureMethods(baked->world(), *truth, *there, {.patches = all, .threads = 2, .rounds = 1});
+  const auto measured = measureMethods(baked->world(), *truth, *there, {.patches = all, .threads = 1, .rounds = 1});
   ASSERT_TRUE(measured) << measured.error().line();
   EXPECT_LT(find(*measured, kExactFloatName).linear, 5e-6);
   EXPECT_LT(find(*measured, kExactName).linear, 2e-3);
   EXPECT_LT(find(*measured, kGatherName).linear, 5e-6);
-  EXPECT_GT(find(*measured, kCommonName).linear, find(*measured, kExactName).linear) << "it stops after three bounces";
+  EXPECT_GT(find(*measured, kCommonName).linear, 0.02) << "three bounces leave 0.7^4 of a closed room's light undone";
 }
 
 }  // namespace

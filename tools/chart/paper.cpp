@@ -20,6 +20,7 @@ namespace {
 constexpr double kPaperPatches = 63125, kPaperDifference = 0.05;
 constexpr const char* kPaperLocal = "2 ms, 128 MB";
 constexpr const char* kPaperFull = "300 ms, 30 GB (estimated)";
+constexpr size_t kObservers = 2;  // a matrix of 4096 takes the seed's method most of a minute to fill
 constexpr double kTexel = 8;  // bytes of RGBA16F
 
 std::string mib(double bytes) { return shortNumber(bytes / (1 << 20)) + " MiB"; }
@@ -114,7 +115,7 @@ Result<SceneFigures> measureScene(const std::string& name, const bake::Scene& sc
   if (!truth) return truth.error();
   SceneFigures figures{name, world.levels()[0].nodes, {}};
   const uint32_t largest = options.quick ? 1024 : 4096;
-  const auto eyes = eyesOf(world, *truth, largest, options.quick ? 2 : 3);
+  const auto eyes = eyesOf(world, *truth, largest, kObservers);
   if (!eyes) return eyes.error();
   for (uint32_t m = 256; m <= largest; m *= 2) {
     Size size{.most = m};

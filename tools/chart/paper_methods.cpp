@@ -97,8 +97,10 @@ Result<double> swapMs(Dense& dense, uint32_t first) {
   return (*left + *entered) / dense.block;
 }
 
-// A level-0 tile leaves the cut and comes back, by patch: matrix and solver.
+// A level-0 tile leaves the cut and comes back, by patch: matrix and solver. Not where level 0 is the top, which never
+// leaves.
 Result<double> tileSwapMs(const formats::World& world, const Neighbourhood& there, int threads, int most) {
+  if (world.levels().size() == 1) return kNotMeasured;
   const auto active = there.streamer->active();
   MatrixAssembler assembler(world);
   const auto solver = makeCpuGather(threads);
