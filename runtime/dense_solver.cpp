@@ -25,17 +25,12 @@ double squared(const Vec4& v) {
          static_cast<double>(v.z) * static_cast<double>(v.z);
 }
 
-double limitFor(const std::string& name) {
-  if (name.find("luminance") != std::string::npos) return 0.05;
-  return name.find("fp16") != std::string::npos ? 2e-2 : 1e-3;
-}
-
 class Dense final : public DenseSolver {
  public:
   Dense(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings)
       : bounces_(std::move(matrix)),
         settings_(settings),
-        limit_(settings.probe_limit > 0 ? settings.probe_limit : limitFor(bounces_->name())),
+        limit_(settings.probe_limit > 0 ? settings.probe_limit : defaultProbeLimit(bounces_->name())),
         pool_(settings.threads),
         name_(std::string("dense: ") + bounces_->name()) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
@@ -71,6 +66,7 @@ class Dense final : public DenseSolver {
     tiles_before_ = matrix.tiles;
 
     const bool anew = first || change.renumbered;
+    if (first) fresh_ = -1;
     for (auto* v : {&irradiance_, &radiosity_, &source_}) {
       if (anew) v->clear();
       v->resize(slots);
@@ -240,7 +236,7 @@ class Dense final : public DenseSolver {
     stats_.on_places = 0;
     probe_frame_ = 0;
     probe_left_ = probe_norm_ = 0;
-    before_ = -1;
+    fresh_ = before_ = -1;
     return {};
   }
 
@@ -366,9 +362,11 @@ class Dense final : public DenseSolver {
     probe_frame_ = 0;
     stats_.probe = probe_norm_ > 0 ? std::sqrt(probe_left_ / probe_norm_) : 0;
     probe_left_ = probe_norm_ = 0;
-    if (stats_.probe <= limit_) return {};
+    if (std::isfinite(stats_.probe) && (fresh_ < 0 || stats_.probe < fresh_)) fresh_ = stats_.probe;
+    const double limit = std::max(limit_, kOfFresh * fresh_);
+    if (stats_.probe <= limit) return {};
     return startRebuild("residual probe " + std::to_string(stats_.probe) + " above its limit of " +
-                        std::to_string(limit_));
+                        std::to_string(limit));
   }
 
   std::unique_ptr<BounceMatrix> bounces_;
@@ -389,12 +387,18 @@ class Dense final : public DenseSolver {
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
   uint32_t probe_frame_ = 0;
   double probe_left_ = 0, probe_norm_ = 0;
+  double fresh_ = -1;  // the least of the rounds since the matrix was built; -1: none yet
   uint64_t random_ = 1;
   double last_ms_ = 0;
   DenseStats stats_;
 };
 
 }  // namespace
+
+double defaultProbeLimit(const std::string& matrix_name) {
+  if (matrix_name.find("luminance") != std::string::npos) return 5e-2;
+  return matrix_name.find("fp16") != std::string::npos ? 2e-2 : 1e-4;
+}
 
 std::unique_ptr<DenseSolver> makeDenseSolver(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings) {
   return std::make_unique<Dense>(std::move(matrix), settings);

@@ -5,6 +5,7 @@
 
 #include "runtime/cpu_multibounce.h"
 #include "runtime/cpu_seed.h"
+#include "runtime/dense_solver.h"
 #include "tests/bench/tile_apply.h"
 #include "tests/bench/truth.h"
 #include "tests/bench/vulkan_update.h"
@@ -98,8 +99,6 @@ double residual(BounceMatrix& matrix, const Placement& at, std::span<const Vec4>
   return norm > 0 ? std::sqrt(left / norm) : 0;
 }
 
-constexpr double kMostResidual = 0.02;  // above it the matrix is built anew
-
 struct Drift {
   double fresh = 0;       // error of the matrix as first built
   double worst = 0;       // over the checkpoints
@@ -129,13 +128,16 @@ Drift drift(const WalkCase& c, Maker make, Storage storage, double limit, bool d
     return std::isfinite(error) ? error : std::numeric_limits<double>::infinity();
   };
   d.fresh = check();
+  std::vector<Vec4> probe(c.places);
+  double fresh = residual(*matrix, *at, source, probe);
   const auto rebuild = [&] {
     orExit(matrix->clear());
     at = std::make_unique<Placement>(scene, c.places);
-    return fill(*matrix, *at, walk.present());
+    const bool filled = fill(*matrix, *at, walk.present());
+    fresh = residual(*matrix, *at, source, probe);
+    return filled;
   };
   uint32_t next = doubling ? 50 : c.swaps / 8;
-  std::vector<Vec4> probe(c.places);
   for (uint32_t done = 0; done < c.swaps;) {
     const Walk::Step step = walk.next();
     orExit(matrix->remove(at->leave(step.leaving)));
@@ -145,7 +147,9 @@ Drift drift(const WalkCase& c, Maker make, Storage storage, double limit, bool d
       if (!d.taken) return d;
     }
     done += static_cast<uint32_t>(step.entering.size());
-    if (!doubling && residual(*matrix, *at, source, probe) > kMostResidual) {  // the seed has no such thing
+    // As the dense solver does it; the seed has no such thing.
+    const double most = std::max(defaultProbeLimit(matrix->name()), kOfFresh * fresh);
+    if (!doubling && residual(*matrix, *at, source, probe) > most) {
       ++d.rebuilt;
       d.taken = rebuild();
       if (!d.taken) return d;

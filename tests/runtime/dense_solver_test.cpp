@@ -299,6 +299,17 @@ TEST(DenseSolver, TheProbeFindsDriftWithinTwoRoundsAndTheMatrixIsBuiltAnew) {
   EXPECT_LT(s.solver->stats().probe, 1e-5);
 }
 
+TEST(DenseSolver, AMatrixThatIsNoBetterWhenBuiltAnewIsKept) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 4});
+  Spoilt s(test);
+  s.matrix->stays = true;
+  s.matrix->fault = Faulty::Fault::kTooBright;  // from the start, and after every clear()
+  for (int frame = 0; frame < 80; ++frame) ASSERT_TRUE(s.solver->iterate(1));
+  EXPECT_GT(s.solver->stats().probe, 10 * defaultProbeLimit(s.matrix->name()));
+  EXPECT_EQ(s.solver->stats().rebuilds, 0u) << s.solver->stats().last_event;
+  EXPECT_LE(s.error(), kRounding) << "corrections hide it";
+}
+
 TEST(DenseSolver, ValuesThatAreNotFiniteNeverReachTheRadiosity) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 4});
   for (const bool stays : {false, true}) {
