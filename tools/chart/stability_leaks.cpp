@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "bake/form_factor.h"
+#include "runtime/node_values.h"
 #include "runtime/solver.h"
 #include "stream/streamer.h"
 #include "tools/chart/baked_scene.h"
@@ -43,14 +44,13 @@ void addRoom(Scene& scene, Vec3 lo, uint32_t material) {
   quad(at(0, 0, 1), at(0, 1, 1), at(1, 1, 1), at(1, 0, 1));
 }
 
-// Rooms in a square, lit and dark like a chessboard. The walls of lit rooms shine; all reflect the same.
+// Rooms in a square, lit and dark like a chessboard. Direct light falls on all surfaces of lit rooms alike, 1 W/m2 goes
+// on from there; nothing shines by itself (the bake keeps what does apart), all reflect the same.
 Scene rooms(uint32_t across, uint32_t deep) {
   Scene scene;
   scene.name = "rooms";
-  const float radiance = 0.31830989f;  // 1 W/m2
-  scene.materials = {{.name = "lit", .base_color = {kAlbedo, kAlbedo, kAlbedo}, .metallic = 0,
-                      .emission = {radiance, radiance, radiance}},
-                     {.name = "dark", .base_color = {kAlbedo, kAlbedo, kAlbedo}, .metallic = 0, .emission = {}}};
+  for (const char* name : {"lit", "dark"})
+    scene.materials.push_back({.name = name, .base_color = {kAlbedo, kAlbedo, kAlbedo}, .metallic = 0, .emission = {}});
   for (uint32_t x = 0; x < across; ++x)
     for (uint32_t z = 0; z < deep; ++z)
       addRoom(scene, {static_cast<float>(x) * (kRoom.x + kWall), 0, static_cast<float>(z) * (kRoom.z + kWall)},
@@ -68,6 +68,15 @@ struct Balance {
   double leaked() const { return light[kLit] > 0 ? light[kDark] / area[kDark] / (light[kLit] / area[kLit]) : 0; }
 };
 
+template <class Visit>
+void eachPiece(const Scene& scene, const PatchSet& set, const Patch& patch, const Visit& visit) {
+  for (uint32_t t = 0; t < patch.triangles; ++t) {
+    const PatchTriangle& piece = set.triangles[patch.first_triangle + t];
+    visit(scene.triangles[piece.source].material,
+          0.5 * static_cast<double>(length(cross(piece.b - piece.a, piece.c - piece.a))));
+  }
+}
+
 struct PatchLeak {
   double leaked = 0;
   size_t patches = 0, shared = 0;  // shared: patches with surface of both rooms
@@ -81,20 +90,22 @@ Result<PatchLeak> leakOfPatches(const Scene& scene, float cell_m, uint32_t rays,
   std::atomic<uint64_t> done{0};
   const PatchRows rows = pooledRows(*set, castRows(scene, *set, *caster, rays, seed, done), 512);
   std::vector<double> source;
-  for (const Patch& p : set->patches)
-    for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(p.emission[c]));
+  for (const Patch& p : set->patches) {
+    Balance surface;
+    eachPiece(scene, *set, p, [&](uint32_t material, double area_m2) { surface.add(material, area_m2, 0); });
+    const double lit = surface.area[kLit] / (surface.area[kLit] + surface.area[kDark]);
+    source.insert(source.end(), 3, lit);
+  }
   const std::vector<double> b = solveRows(*set, rows, source, 1e-10, 1000);
   Balance balance;
   PatchLeak leak;
   leak.patches = set->patches.size();
   for (size_t i = 0; i < set->patches.size(); ++i) {
     bool of[2] = {false, false};
-    for (uint32_t t = 0; t < set->patches[i].triangles; ++t) {
-      const PatchTriangle& piece = set->triangles[set->patches[i].first_triangle + t];
-      const uint32_t material = scene.triangles[piece.source].material;
+    eachPiece(scene, *set, set->patches[i], [&](uint32_t material, double area_m2) {
       of[material] = true;
-      balance.add(material, 0.5 * static_cast<double>(length(cross(piece.b - piece.a, piece.c - piece.a))), b[3 * i]);
-    }
+      balance.add(material, area_m2, b[3 * i]);
+    });
     leak.shared += of[kLit] && of[kDark];
   }
   leak.leaked = balance.leaked();
@@ -108,16 +119,30 @@ uint32_t materialAt(const formats::Node& node) {
                                                                                                                         : kDark;
 }
 
-// The cut's light when only what each strip's own nodes emit shines, by slot.
-Result<std::vector<runtime::Vec4>> solved(const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active,
+// Direct light of all levels: clusters have the mean over their patches, as the run time asks for it.
+Result<runtime::NodeValues> directLight(const formats::World& world) {
+  const auto areas = runtime::patchAreas(world);
+  if (!areas) return areas.error();
+  std::vector<Vec3> direct;
+  for (const formats::TileInfo& info : world.tiles(0)) {
+    const auto strip = world.strip(info.id);
+    if (!strip) return strip.error();
+    for (const formats::Node& node : strip->nodes) direct.push_back(materialAt(node) == kLit ? Vec3{1, 1, 1} : Vec3{});
+  }
+  return runtime::aggregateUp(world, *areas, direct);
+}
+
+// The cut's light, by slot.
+Result<std::vector<runtime::Vec4>> solved(const formats::World& world, const runtime::NodeValues& direct,
+                                          const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active,
                                           int threads) {
   using namespace runtime;
   std::vector<Vec4> source(matrix.slots()), b(matrix.slots());
-  for (const auto& strip : active)
-    for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
-      const Vec3 m = strip->nodes[i].emission;
-      source[matrix.slotOf(strip->id.level, strip->first_node + i)] = {m.x, m.y, m.z, 0};
-    }
+  for (const auto& strip : active) {
+    const std::span<const Vec3> m = direct.tile(world, strip->id);
+    const uint32_t first = matrix.slotOf(strip->id.level, strip->first_node);
+    for (uint32_t i = 0; i < m.size(); ++i) source[first + i] = {m[i].x, m[i].y, m[i].z, 0};
+  }
   const auto solver = makeCpuGather(threads);
   if (auto taken = solver->update(matrix, {.any = true, .renumbered = true}); !taken) return taken.error();
   if (auto lit = solver->setSource(source); !lit) return lit.error();
@@ -127,15 +152,15 @@ Result<std::vector<runtime::Vec4>> solved(const runtime::LocalMatrix& matrix, st
   return b;
 }
 
-// The brightest patch of the dark room around the eye, over the light of a lit room that emits 1 W/m2 and keeps all of it.
-Result<double> leakAround(const formats::World& world, Vec3 eye, int threads) {
+// The brightest patch of the dark room around the eye, over the light of a lit room.
+Result<double> leakAround(const formats::World& world, const runtime::NodeValues& direct, Vec3 eye, int threads) {
   auto streamer = stream::Streamer::create(world, {});
   if (!streamer) return streamer.error();
   (*streamer)->update(eye, {});
   if (auto settled = (*streamer)->settle(); !settled) return settled.error();
   const auto matrix = runtime::buildLocalMatrix(world, (*streamer)->active());
   if (!matrix) return matrix.error();
-  const auto b = solved(*matrix, (*streamer)->active(), threads);
+  const auto b = solved(world, direct, *matrix, (*streamer)->active(), threads);
   if (!b) return b.error();
   double most = 0;
   for (const auto& strip : (*streamer)->active())
@@ -148,7 +173,7 @@ Result<double> leakAround(const formats::World& world, Vec3 eye, int threads) {
 }
 
 // Everything from one level up active, solved; every patch has the light of its ancestor there.
-Result<double> leakOfLevel(const formats::World& world, uint32_t level, int threads) {
+Result<double> leakOfLevel(const formats::World& world, const runtime::NodeValues& direct, uint32_t level, int threads) {
   using namespace runtime;
   std::vector<stream::StripPtr> active;
   for (uint32_t l = level; l < world.levels().size(); ++l)
@@ -161,7 +186,7 @@ Result<double> leakOfLevel(const formats::World& world, uint32_t level, int thre
     }
   const auto matrix = buildLocalMatrix(world, active);
   if (!matrix) return matrix.error();
-  const auto b = solved(*matrix, active, threads);
+  const auto b = solved(world, direct, *matrix, active, threads);
   if (!b) return b.error();
   Balance balance;
   for (const formats::TileInfo& info : world.tiles(0)) {
@@ -204,6 +229,8 @@ Result<StabilityPart> stabilityOfLeaks(const StabilityOptions& options, const St
   const auto baked = BakedScene::bake(rooms(across, across), {.cell_m = 1, .rays = options.quick ? 256u : 512u,
                                                               .seed = options.seed, .threads = options.threads, .geometry = false});
   if (!baked) return baked.error();
+  const auto direct = directLight(baked->world());
+  if (!direct) return direct.error();
   const auto levels = static_cast<uint32_t>(baked->world().levels().size());
   Measured clusters{.scene = "dark rooms beside lit ones (share of their light)", .method = "one level of the pyramid alone",
                     .knob = "cluster size", .unit = "m", .points = {}, .then = {}};
@@ -211,12 +238,12 @@ Result<StabilityPart> stabilityOfLeaks(const StabilityOptions& options, const St
     uint64_t nodes = 0;
     for (uint32_t l = level; l < levels; ++l) nodes += baked->world().levels()[l].nodes;
     if (nodes > runtime::kMaxSlots) continue;  // more than a cut can hold
-    const auto leaked = leakOfLevel(baked->world(), level, options.threads);
+    const auto leaked = leakOfLevel(baked->world(), *direct, level, options.threads);
     if (!leaked) return leaked.error();
     clusters.points.push_back({std::exp2(static_cast<double>(level)), *leaked});
   }
   const stream::StreamSettings defaults;
-  const auto around = leakAround(baked->world(), {1.5f * kRoom.x + kWall, kRoom.y / 2, kRoom.z / 2}, options.threads);
+  const auto around = leakAround(baked->world(), *direct, {1.5f * kRoom.x + kWall, kRoom.y / 2, kRoom.z / 2}, options.threads);
   if (!around) return around.error();
   double nearest = 0;
   for (size_t l = 0; l < clusters.points.size(); ++l)
