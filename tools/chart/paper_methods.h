@@ -15,6 +15,7 @@ struct MethodCost {
   double picture = 0;        // mean difference of a picture's value, 0 to 1, same patches
   Difference inner{};        // of reflected radiosity within half the local radius
   double relight_ms = 0, relight_spread_ms = 0;  // median, and half the distance between the quartiles
+  double over_seed = 0;      // relight over the seed's in the same round, median of the rounds
   double update_ms = 0;      // a patch leaves and one enters; of blocks, tiles: their share
   double bytes = 0;          // of the matrix
 };
