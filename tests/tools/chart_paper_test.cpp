@@ -31,7 +31,8 @@ TEST(Paper, DenseMethodsAgreeAndThePyramidBeatsTheConstant) {
   ASSERT_TRUE(there) << there.error().line();
   EXPECT_LE(there->activePatches(), kPatches);
   EXPECT_GE(there->activePatches(), kPatches / 2);
-  const auto measured = measureMethods(baked->world(), *truth, *there, {.patches = kPatches, .threads = 1, .rounds = 2});
+  const auto measured =
+      measureMethods(baked->world(), *truth, *there, {.patches = kPatches, .threads = 1, .rounds = 2});
   ASSERT_TRUE(measured) << measured.error().line();
   const MethodCost &exact = find(*measured, kExactFloatName), &half = find(*measured, kExactName),
                    &seed = find(*measured, kSeedName), &common = find(*measured, kCommonName),

@@ -98,7 +98,8 @@ TEST(WalkMatrix, EliminationAndIterationAgree) {
 
 // fp32 is a few hundred operations of 2^-24; the seed leaves paths behind with every patch that goes.
 TEST(Stability, ASwapCostsTheSeedAccuracyAndTheExactMatrixNone) {
-  const auto walked = measureWalk({"oscillation", {.patches = 160, .entries_per_row = 30}, WalkKind::kOscillation, 64, 16, 400, 400}, 1);
+  const auto walked = measureWalk(
+      {"oscillation", {.patches = 160, .entries_per_row = 30}, WalkKind::kOscillation, 64, 16, 400, 400}, 1);
   ASSERT_TRUE(walked) << walked.error().line();
   ASSERT_EQ(walked->size(), 5u);
   EXPECT_GT(most(find(*walked, "seed")), 0.05);
@@ -109,8 +110,13 @@ TEST(Stability, ASwapCostsTheSeedAccuracyAndTheExactMatrixNone) {
 }
 
 TEST(Stability, AWalkIsTheSameWhateverTheThreads) {
-  const WalkCase walk{"box", {.kind = SceneKind::kClosedBox, .patches = 64, .entries_per_row = 20, .albedo = 0.98f},
-                      WalkKind::kRandom, 64, 16, 128, 64};
+  const WalkCase walk{"box",
+                      {.kind = SceneKind::kClosedBox, .patches = 64, .entries_per_row = 20, .albedo = 0.98f},
+                      WalkKind::kRandom,
+                      64,
+                      16,
+                      128,
+                      64};
   const auto one = measureWalk(walk, 1), two = measureWalk(walk, 2);
   ASSERT_TRUE(one && two);
   for (size_t m = 0; m < one->size(); ++m) {
@@ -122,11 +128,19 @@ TEST(Stability, AWalkIsTheSameWhateverTheThreads) {
 }
 
 TEST(Stability, SaysThatAMatrixIsRefusedWhereItCannotCarryTheLight) {
-  const auto walked = measureWalk({"white box", {.kind = SceneKind::kClosedBox, .patches = 96, .entries_per_row = 40, .albedo = 0.9999f},
-                                   WalkKind::kRandom, 96, 32, 256, 0}, 1);
+  const auto walked =
+      measureWalk({"white box",
+                   {.kind = SceneKind::kClosedBox, .patches = 96, .entries_per_row = 40, .albedo = 0.9999f},
+                   WalkKind::kRandom,
+                   96,
+                   32,
+                   256,
+                   0},
+                  1);
   ASSERT_TRUE(walked) << walked.error().line();
   const Measured& fp16 = find(*walked, "multibounce fp16");
-  EXPECT_TRUE(fp16.then.find("refused") != std::string::npos || fp16.then.find("lowers albedos") != std::string::npos) << fp16.then;
+  EXPECT_TRUE(fp16.then.find("refused") != std::string::npos || fp16.then.find("lowers albedos") != std::string::npos)
+      << fp16.then;
   EXPECT_GT(most(find(*walked, "multibounce fp32")), 0.01) << "lowered albedos cost energy";
 }
 
@@ -134,8 +148,7 @@ TEST(Stability, NoLightGetsIntoAClosedRoomUntilPatchesAreLargerThanIt) {
   const auto part = stabilityOfLeaks({.quick = true}, {});
   ASSERT_TRUE(part) << part.error().line();
   const Measured& patches = part->measured[0];
-  for (const Measured::Point& p : patches.points)
-    EXPECT_TRUE(p.at > 12 || p.error == 0) << p.at << " m: " << p.error;
+  for (const Measured::Point& p : patches.points) EXPECT_TRUE(p.at > 12 || p.error == 0) << p.at << " m: " << p.error;
   EXPECT_GT(patches.points.back().error, 0.05) << "patches of eight rooms";
   const Measured& clusters = part->measured[1];
   EXPECT_EQ(clusters.points.front().error, 0) << "level 0";

@@ -70,9 +70,11 @@ Table breakingTable(std::span<const Measured> measured) {
   table.id = "where-it-breaks";
   table.title = "Where it breaks";
   table.note =
-      "Relative L2 error of reflected radiosity unless the case says otherwise; each number is the first of those tried, "
+      "Relative L2 error of reflected radiosity unless the case says otherwise; each number is the first of those "
+      "tried, "
       "from easy to hard.";
-  table.columns = {"case, and the number", "method", "past 1 %", "past 5 %", "not finite", "worst", "what the program does then"};
+  table.columns = {"case, and the number",      "method", "past 1 %", "past 5 %", "not finite", "worst",
+                   "what the program does then"};
   for (const Measured& m : measured)
     table.rows.push_back(
         {m.scene + ": " + m.knob, m.method, passes(m, 0.01), passes(m, 0.05), notFinite(m), worst(m), m.then});

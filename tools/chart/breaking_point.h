@@ -1,4 +1,5 @@
-// At what number a method breaks: error along a knob that is turned from easy to hard, and the first number past a limit.
+// At what number a method breaks: error along a knob that is turned from easy to hard, and the first number past a
+// limit.
 #pragma once
 #include <span>
 #include <string>

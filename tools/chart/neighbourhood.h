@@ -29,11 +29,11 @@ Result<void> lightUp(const Neighbourhood& there, runtime::Solver& solver);
 
 // The active patches of a neighbourhood. Beyond them the truth's mean radiosity, the constant's best value.
 struct LocalPatches {
-  runtime::LocalMatrix matrix;              // FarLight::kConstant
+  runtime::LocalMatrix matrix;  // FarLight::kConstant
   runtime::PatchSet set;
-  std::vector<uint32_t> slots;              // of the patches, in order
-  std::vector<runtime::Vec4> source;        // by patch: M and what the constant adds
-  std::vector<runtime::Vec4> slot_source;   // by slot: M alone
+  std::vector<uint32_t> slots;             // of the patches, in order
+  std::vector<runtime::Vec4> source;       // by patch: M and what the constant adds
+  std::vector<runtime::Vec4> slot_source;  // by slot: M alone
   uint32_t patches() const { return static_cast<uint32_t>(slots.size()); }
 };
 

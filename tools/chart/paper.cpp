@@ -21,7 +21,7 @@ constexpr double kPaperPatches = 63125, kPaperDifference = 0.05;
 constexpr const char* kPaperLocal = "2 ms, 128 MB";
 constexpr const char* kPaperFull = "300 ms, 30 GB (estimated)";
 constexpr size_t kObservers = 2;  // a matrix of 4096 takes the seed's method most of a minute to fill
-constexpr double kTexel = 8;  // bytes of RGBA16F
+constexpr double kTexel = 8;      // bytes of RGBA16F
 
 std::string mib(double bytes) { return shortNumber(bytes / (1 << 20)) + " MiB"; }
 std::string gib(double bytes) { return shortNumber(bytes / (1 << 30)) + " GiB"; }
@@ -90,7 +90,8 @@ Result<std::vector<Vec3>> eyesOf(const formats::World& world, const WorldTruth& 
     if (eyes.size() == count) break;
   }
   if (eyes.empty())
-    return Error{ErrorCode::kUsage, world.path(), "", "no observer has " + std::to_string(patches) + " lit patches around it",
+    return Error{ErrorCode::kUsage, world.path(), "",
+                 "no observer has " + std::to_string(patches) + " lit patches around it",
                  "take a larger or brighter scene"};
   return eyes;
 }
@@ -121,10 +122,12 @@ Result<SceneFigures> measureScene(const std::string& name, const bake::Scene& sc
   for (uint32_t m = 256; m <= largest; m *= 2) {
     Size size{.most = m};
     for (size_t eye = 0; eye < eyes->size(); ++eye) {
-      say("local matrix of " + numberText(m) + ", observer " + std::to_string(eye + 1) + " of " + std::to_string(eyes->size()));
+      say("local matrix of " + numberText(m) + ", observer " + std::to_string(eye + 1) + " of " +
+          std::to_string(eyes->size()));
       const auto there = nearestPatches(world, *truth, (*eyes)[eye], m);
       if (!there) return there.error();
-      const auto measured = measureMethods(world, *truth, *there, {.patches = m, .threads = options.threads, .rounds = options.quick ? 5 : 9});
+      const auto measured = measureMethods(world, *truth, *there,
+                                           {.patches = m, .threads = options.threads, .rounds = options.quick ? 5 : 9});
       if (!measured) return measured.error();
       for (const MethodCost& method : measured->methods)
         if (method.name == kExactName) {
@@ -139,25 +142,32 @@ Result<SceneFigures> measureScene(const std::string& name, const bake::Scene& sc
   return figures;
 }
 
-double fullBytes(const SceneFigures& f) { return static_cast<double>(f.patches) * static_cast<double>(f.patches) * kTexel; }
+double fullBytes(const SceneFigures& f) {
+  return static_cast<double>(f.patches) * static_cast<double>(f.patches) * kTexel;
+}
 
 Table figureThree(const std::vector<SceneFigures>& scenes) {
   Table table;
   table.id = "paper-figure-3";
   table.title = "The paper's figure 3: the local matrix against the full one";
-  table.note = "Difference: mean over the active patches, by area and channel, of |B - full solution|; of a picture's value "
-               "(0 to 1, exposed and toned as ffview does), and of linear radiosity over its mean. Beyond the local patches the "
-               "dense methods see the mean radiosity there, gather the pyramid. The full matrix's time is its bytes (N x N x 8, "
-               "RGBA16F) over the read bandwidth measured in the same run. The paper's figures are a GPU's of 2019, ours this CPU's: "
-               "ratios compare, milliseconds do not.";
-  table.columns = {"scene", "method", "difference, picture", "difference, linear", "relative L2, inner half", "relight, ms", "matrix"};
-  table.rows.push_back({"the paper, " + numberText(kPaperPatches) + " patches", "local, M = 4096", "less than 0.05", "", "", kPaperLocal, ""});
+  table.note =
+      "Difference: mean over the active patches, by area and channel, of |B - full solution|; of a picture's value "
+      "(0 to 1, exposed and toned as ffview does), and of linear radiosity over its mean. Beyond the local patches the "
+      "dense methods see the mean radiosity there, gather the pyramid. The full matrix's time is its bytes (N x N x 8, "
+      "RGBA16F) over the read bandwidth measured in the same run. The paper's figures are a GPU's of 2019, ours this "
+      "CPU's: "
+      "ratios compare, milliseconds do not.";
+  table.columns = {"scene",       "method", "difference, picture", "difference, linear", "relative L2, inner half",
+                   "relight, ms", "matrix"};
+  table.rows.push_back({"the paper, " + numberText(kPaperPatches) + " patches", "local, M = 4096", "less than 0.05", "",
+                        "", kPaperLocal, ""});
   table.rows.push_back({"", "full", "0", "0", "0", kPaperFull, ""});
   for (const SceneFigures& f : scenes) {
     const Size& size = f.sizes.back();
     for (const MethodCost& m : size.methods)
       table.rows.push_back({f.name + ", " + numberText(f.patches) + " patches",
-                            m.name + (m.nodes > 0 ? ", " + numberText(static_cast<double>(m.nodes)) + " nodes, " : ", ") +
+                            m.name +
+                                (m.nodes > 0 ? ", " + numberText(static_cast<double>(m.nodes)) + " nodes, " : ", ") +
                                 numberText(m.patches) + " patches",
                             shortNumber(m.picture), percentText(m.linear), innerText(m),
                             withError({m.relight_ms, m.relight_spread_ms}), mib(m.bytes)});
@@ -172,19 +182,28 @@ Table figureFour(const SceneFigures& f, size_t number) {
   table.id = "paper-figure-4-" + std::to_string(number);
   table.title = "The paper's figure 4: local multi-bounce against common radiosity, " + f.name;
   table.note = "Update: one patch leaves and one enters; multibounce and common radiosity in blocks of " +
-               std::to_string(runtime::kMaxBlock) + ", gather by tiles, seed one at a time, as its method is. Over seed: of times taken in the same round, median. Means over the observers.";
-  table.columns = {"M", "method", "relight, ms", "over seed", "update a patch, ms", "matrix", "difference, picture", "relative L2, inner half"};
+               std::to_string(runtime::kMaxBlock) +
+               ", gather by tiles, seed one at a time, as its method is. Over seed: of times taken in the same round, "
+               "median. Means over the observers.";
+  table.columns = {"M",
+                   "method",
+                   "relight, ms",
+                   "over seed",
+                   "update a patch, ms",
+                   "matrix",
+                   "difference, picture",
+                   "relative L2, inner half"};
   for (const Size& size : f.sizes)
     for (const MethodCost& m : size.methods)
       table.rows.push_back({numberText(size.most), m.name, withError({m.relight_ms, m.relight_spread_ms}),
-                            shortNumber(m.over_seed), shortNumber(m.update_ms),
-                            mib(m.bytes), shortNumber(m.picture), innerText(m)});
+                            shortNumber(m.over_seed), shortNumber(m.update_ms), mib(m.bytes), shortNumber(m.picture),
+                            innerText(m)});
   return table;
 }
 
 template <class Value>
-Chart overSizes(const SceneFigures& f, size_t number, const std::string& id, const std::string& title, const std::string& y_label,
-                const std::string& note, const Value& value) {
+Chart overSizes(const SceneFigures& f, size_t number, const std::string& id, const std::string& title,
+                const std::string& y_label, const std::string& note, const Value& value) {
   Chart chart;
   chart.id = id + "-" + std::to_string(number);
   chart.title = title + ": " + f.name;
@@ -197,7 +216,9 @@ Chart overSizes(const SceneFigures& f, size_t number, const std::string& id, con
     series.name = method.name;
     for (const Size& size : f.sizes) {
       const Figure y = value(of(size, method.name));
-      series.points.push_back({.x = static_cast<double>(size.most), .y = y.value, .y_error = y.error,
+      series.points.push_back({.x = static_cast<double>(size.most),
+                               .y = y.value,
+                               .y_error = y.error,
                                .hover = method.name + ", M = " + numberText(size.most) + ": " + withError(y)});
     }
     chart.series.push_back(std::move(series));
@@ -212,12 +233,15 @@ std::string leadOf(const std::vector<SceneFigures>& scenes) {
     const MethodCost &exact = of(size, kExactName), &seed = of(size, kSeedName), &common = of(size, kCommonName),
                      &gather = of(size, kGatherName);
     const double full_ms = 1e3 * fullBytes(f) / size.bytes_per_s;
-    lead += (lead.empty() ? "" : " ") + std::string("On ") + f.name + " (" + numberText(f.patches) + " patches) the local multi-bounce matrix with M = " +
-            numberText(size.most) + " differs from the full solution by " + shortNumber(exact.picture) + " of a picture's range on average (worst observer " +
-            shortNumber(size.worst_picture) + "; the paper: less than " + shortNumber(kPaperDifference) + "), gather on the pyramid by " +
-            shortNumber(gather.picture) + ". The paper's update as printed relights in " + shortNumber(seed.relight_ms) + " ms (" + mib(seed.bytes) +
-            "), " + shortNumber(full_ms / seed.relight_ms) + " times faster than the full matrix would be (" + shortNumber(full_ms) + " ms, " +
-            gib(fullBytes(f)) + "; the paper: 150 times); common radiosity takes " + shortNumber(common.over_seed) +
+    lead += (lead.empty() ? "" : " ") + std::string("On ") + f.name + " (" + numberText(f.patches) +
+            " patches) the local multi-bounce matrix with M = " + numberText(size.most) +
+            " differs from the full solution by " + shortNumber(exact.picture) +
+            " of a picture's range on average (worst observer " + shortNumber(size.worst_picture) +
+            "; the paper: less than " + numberText(kPaperDifference) + "), gather on the pyramid by " +
+            shortNumber(gather.picture) + ". The paper's update as printed relights in " +
+            shortNumber(seed.relight_ms) + " ms (" + mib(seed.bytes) + "), " + shortNumber(full_ms / seed.relight_ms) +
+            " times faster than the full matrix would be (" + shortNumber(full_ms) + " ms, " + gib(fullBytes(f)) +
+            "; the paper: 150 times); common radiosity takes " + shortNumber(common.over_seed) +
             " times as long as the former, a step of gather " + shortNumber(gather.over_seed) + " times (" +
             shortNumber(gather.relight_ms) + " ms).";
   }
@@ -235,7 +259,8 @@ Result<Report> measurePaper(const PaperOptions& options, const PaperProgress& pr
     if (!figures) return figures.error();
     scenes.push_back(std::move(*figures));
   }
-  const auto town = tools::makeTown({.patches = options.quick ? 8000 : static_cast<uint64_t>(kPaperPatches), .seed = options.seed});
+  const auto town =
+      tools::makeTown({.patches = options.quick ? 8000 : static_cast<uint64_t>(kPaperPatches), .seed = options.seed});
   if (!town) return town.error();
   auto figures = measureScene("town", sceneOf(tools::townModel(*town, false)), options, progress);
   if (!figures) return figures.error();
@@ -246,22 +271,31 @@ Result<Report> measurePaper(const PaperOptions& options, const PaperProgress& pr
   report.lead = leadOf(scenes);
   for (const SceneFigures& f : scenes)
     report.facts.push_back({"scene", f.name + ", " + numberText(f.patches) + " patches of 1 m, sun and sky; reads " +
-                                         shortNumber(f.sizes.back().bytes_per_s / 1e9) + " GB/s; observers: " +
-                                         std::to_string(f.sizes.back().observers)});
+                                         shortNumber(f.sizes.back().bytes_per_s / 1e9) +
+                                         " GB/s; observers: " + std::to_string(f.sizes.back().observers)});
   report.facts.push_back({"seed", numberText(static_cast<double>(options.seed))});
   report.tables.push_back(figureThree(scenes));
   for (size_t i = 0; i < scenes.size(); ++i) {
     const SceneFigures& f = scenes[i];
-    report.charts.push_back(overSizes(f, i + 1, "paper-relight", "Relighting (figure 4)", "ms a relight",
-                                      "seed and multibounce: one product with all bounces. Common radiosity: three products. Gather: one "
-                                      "step on a cut with M patches and the pyramid beyond. Median of interleaved rounds, half the distance of the quartiles.",
-                                      [](const MethodCost& m) { return Figure{m.relight_ms, m.relight_spread_ms}; }));
-    report.charts.push_back(overSizes(f, i + 1, "paper-update", "Updating", "ms a patch that leaves and one that enters",
-                                      "Blocks of 64 (multibounce, common radiosity), tiles (gather), one at a time (seed).",
-                                      [](const MethodCost& m) { return Figure{m.update_ms, 0}; }));
-    report.charts.push_back(overSizes(f, i + 1, "paper-difference", "Difference to the full solution (figure 3)", "mean difference of a picture's value",
+    report.charts.push_back(
+        overSizes(f, i + 1, "paper-relight", "Relighting (figure 4)", "ms a relight",
+                  "seed and multibounce: one product with all bounces. Common radiosity: three products. Gather: one "
+                  "step on a cut with M patches and the pyramid beyond. Median of interleaved rounds, half the "
+                  "distance of the quartiles.",
+                  [](const MethodCost& m) {
+                    return Figure{m.relight_ms, m.relight_spread_ms};
+                  }));
+    report.charts.push_back(overSizes(
+        f, i + 1, "paper-update", "Updating", "ms a patch that leaves and one that enters",
+        "Blocks of 64 (multibounce, common radiosity), tiles (gather), one at a time (seed).", [](const MethodCost& m) {
+          return Figure{m.update_ms, 0};
+        }));
+    report.charts.push_back(overSizes(f, i + 1, "paper-difference", "Difference to the full solution (figure 3)",
+                                      "mean difference of a picture's value",
                                       "Over all active patches; 1 is white. The paper: less than 0.05 at M = 4096.",
-                                      [](const MethodCost& m) { return Figure{m.picture, 0}; }));
+                                      [](const MethodCost& m) {
+                                        return Figure{m.picture, 0};
+                                      }));
     report.charts.back().y_marks = {{kPaperDifference, "the paper"}};
     report.tables.push_back(figureFour(f, i + 1));
   }

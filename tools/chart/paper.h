@@ -1,6 +1,6 @@
-// The two figures of the seed paper, measured again: Shcherbakov, A., Frolov, V. "Implementation of the Radiosity Algorithm
-// for Large Scale Scenes." GraphiCon 2019. Figure 3: the local multi-bounce matrix against the full solution, on a scene
-// of about 63,125 patches. Figure 4: against common radiosity on the local matrix, for several sizes of it.
+// The two figures of the seed paper, measured again: Shcherbakov, A., Frolov, V. "Implementation of the Radiosity
+// Algorithm for Large Scale Scenes." GraphiCon 2019. Figure 3: the local multi-bounce matrix against the full solution,
+// on a scene of about 63,125 patches. Figure 4: against common radiosity on the local matrix, for several sizes of it.
 #pragma once
 #include <cstdint>
 #include <functional>
@@ -15,7 +15,7 @@ struct PaperOptions {
   std::string scene_path;  // a Minecraft-like .glb in units of its cells; empty: the generated town alone
   bool quick = false;      // a town of 8,000 patches and matrices up to 1024 instead
   uint64_t seed = 1;
-  int threads = 0;         // 0: all cores
+  int threads = 0;  // 0: all cores
 };
 
 using PaperProgress = std::function<void(const std::string& what)>;

@@ -56,7 +56,8 @@ struct Lit {
 
 // Active patches with what a method says of them, and what is true.
 template <class Visit>
-void eachPatch(const WorldTruth& truth, const LocalMatrix& matrix, std::span<const Vec4> radiosity, const Visit& visit) {
+void eachPatch(const WorldTruth& truth, const LocalMatrix& matrix, std::span<const Vec4> radiosity,
+               const Visit& visit) {
   for (const SlotRange& range : matrix.tiles) {
     if (range.id.level != 0) break;
     for (uint32_t i = 0; i < range.nodes; ++i) {
@@ -72,7 +73,9 @@ void eachPatch(const WorldTruth& truth, const LocalMatrix& matrix, std::span<con
 void compareAll(const WorldTruth& truth, const LocalMatrix& matrix, std::span<const Vec4> radiosity,
                 std::span<const Vec4> source, const Case& at, MethodCost& cost) {
   std::vector<Vec4> shown;
-  eachPatch(truth, matrix, radiosity, [&](const Lit& lit) { shown.push_back({lit.truth[0], lit.truth[1], lit.truth[2], 1}); });
+  eachPatch(truth, matrix, radiosity, [&](const Lit& lit) {
+    shown.push_back({lit.truth[0], lit.truth[1], lit.truth[2], 1});
+  });
   const float exposure = std::exp2(view::exposureStops(shown));
   double area = 0, mean = 0;
   eachPatch(truth, matrix, radiosity, [&](const Lit& lit) {
@@ -81,7 +84,8 @@ void compareAll(const WorldTruth& truth, const LocalMatrix& matrix, std::span<co
       const float b = lit.radiosity[c], t = lit.truth[c];
       cost.linear += lit.area_m2 * static_cast<double>(std::abs(b - t));
       mean += lit.area_m2 * static_cast<double>(t);
-      cost.picture += lit.area_m2 * static_cast<double>(std::abs(view::toneCurve(exposure * b) - view::toneCurve(exposure * t)));
+      cost.picture +=
+          lit.area_m2 * static_cast<double>(std::abs(view::toneCurve(exposure * b) - view::toneCurve(exposure * t)));
     }
   });
   cost.linear = mean > 0 ? cost.linear / mean : 0;
@@ -140,7 +144,8 @@ Result<double> tileSwapMs(const formats::World& world, const Neighbourhood& ther
 
 }  // namespace
 
-Result<Neighbourhood> nearestPatches(const formats::World& world, const WorldTruth& truth, Vec3 observer, uint32_t patches) {
+Result<Neighbourhood> nearestPatches(const formats::World& world, const WorldTruth& truth, Vec3 observer,
+                                     uint32_t patches) {
   std::vector<float> away;
   for (const formats::Strip& strip : truth.patches)
     for (const formats::Node& node : strip.nodes) away.push_back(length(node.centroid - observer));
@@ -208,7 +213,8 @@ Result<MethodsThere> measureMethods(const formats::World& world, const WorldTrut
   }
   for (int round = 0; round < settings.rounds; ++round)
     for (Dense& d : dense) {
-      const uint32_t first = static_cast<uint32_t>(round) * (patches - d.block) / static_cast<uint32_t>(settings.rounds);
+      const uint32_t first =
+          static_cast<uint32_t>(round) * (patches - d.block) / static_cast<uint32_t>(settings.rounds);
       const auto swapped = swapMs(d, first);
       if (!swapped) return swapped.error();
       d.update.push_back(*swapped);

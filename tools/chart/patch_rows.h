@@ -26,8 +26,8 @@ PatchRows pooledRows(const bake::PatchSet& set, bake::HitRows hits, uint32_t qua
 std::vector<double> solveRows(const bake::PatchSet& set, const PatchRows& rows, std::span<const double> source,
                               double tolerance = 0, int most = 60);
 
-// M + rho (sun + sky) of every patch, 3 values each; sun: irradiance of each patch; the sky's irradiance is 2 pi where all
-// of it is seen.
+// M + rho (sun + sky) of every patch, 3 values each; sun: irradiance of each patch; the sky's irradiance is 2 pi where
+// all of it is seen.
 std::vector<double> sunAndSky(const bake::PatchSet& set, const PatchRows& rows, std::span<const double> sun);
 
 // Direct sunlight at the patches' centroids, W/m2: 10 facing the sun.

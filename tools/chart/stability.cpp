@@ -12,8 +12,9 @@ Result<Report> measureStability(const StabilityOptions& options, const Stability
   report.title = "Where it breaks";
   std::vector<Measured> measured;
   using Experiment = Result<StabilityPart> (*)(const StabilityOptions&, const StabilityProgress&);
-  for (const Experiment experiment : {Experiment{stabilityOfWalks}, Experiment{stabilityOfAlbedo}, Experiment{stabilityOfEnergy},
-                                      Experiment{stabilityOfRays}, Experiment{stabilityOfLeaks}, Experiment{stabilityOfRadius}}) {
+  for (const Experiment experiment :
+       {Experiment{stabilityOfWalks}, Experiment{stabilityOfAlbedo}, Experiment{stabilityOfEnergy},
+        Experiment{stabilityOfRays}, Experiment{stabilityOfLeaks}, Experiment{stabilityOfRadius}}) {
     auto part = experiment(options, progress);
     if (!part) return part.error();
     report.lead += (report.lead.empty() || part->lead.empty() ? "" : " ") + part->lead;
@@ -21,12 +22,13 @@ Result<Report> measureStability(const StabilityOptions& options, const Stability
     std::move(part->measured.begin(), part->measured.end(), std::back_inserter(measured));
   }
   report.tables.push_back(breakingTable(measured));
-  report.facts = {{"run", options.quick ? "quick: fewer swaps, smaller scenes" : "full"},
-                  {"seed", numberText(static_cast<double>(options.seed))},
-                  {"methods",
-                   "seed: the paper's update as printed, RGBA16F. multibounce: exact block updates of the dense matrix. dense "
-                   "solver: multibounce as frames use it, with corrections by the sparse rows, probe and rebuilding. gather: "
-                   "Jacobi iterations on the sparse rows."}};
+  report.facts = {
+      {"run", options.quick ? "quick: fewer swaps, smaller scenes" : "full"},
+      {"seed", numberText(static_cast<double>(options.seed))},
+      {"methods",
+       "seed: the paper's update as printed, RGBA16F. multibounce: exact block updates of the dense matrix. dense "
+       "solver: multibounce as frames use it, with corrections by the sparse rows, probe and rebuilding. gather: "
+       "Jacobi iterations on the sparse rows."}};
   return report;
 }
 

@@ -10,10 +10,10 @@
 namespace ff::chart {
 
 struct StabilityOptions {
-  bool quick = false;       // under a minute on two free cores: fewer swaps, smaller scenes
-  uint32_t swaps = 0;       // of the longest walks; 0: 100,000, quick 2,000
-  uint64_t seed = 1;        // of scenes, walks and light
-  int threads = 0;          // 0: all cores; never changes a figure that is no time
+  bool quick = false;  // under a minute on two free cores: fewer swaps, smaller scenes
+  uint32_t swaps = 0;  // of the longest walks; 0: 100,000, quick 2,000
+  uint64_t seed = 1;   // of scenes, walks and light
+  int threads = 0;     // 0: all cores; never changes a figure that is no time
 };
 
 // What is being measured, for people who wait: "drift: straight line".

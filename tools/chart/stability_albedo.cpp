@@ -75,11 +75,12 @@ Result<Gathered> gatherFromDark(const PatchSet& set, std::span<const uint32_t> p
 Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const StabilityProgress& progress) {
   const uint32_t swaps = options.swaps > 0 ? options.swaps / 10 : options.quick ? 512u : 10000u;
   StabilityPart part;
-  Chart errors = albedoChart(
-      "error-albedo", "Error against albedo: a closed box after " + numberText(swaps) + " swaps",
-      "relative L2 error of reflected radiosity",
-      "256 patches that see each other at random, all rows sum to 1; the worst over the walk. Gather starts from dark and stops "
-      "after 3 products (plain local radiosity) or " + std::to_string(kViewerIterations) + ".");
+  Chart errors = albedoChart("error-albedo", "Error against albedo: a closed box after " + numberText(swaps) + " swaps",
+                             "relative L2 error of reflected radiosity",
+                             "256 patches that see each other at random, all rows sum to 1; the worst over the walk. "
+                             "Gather starts from dark and stops "
+                             "after 3 products (plain local radiosity) or " +
+                                 std::to_string(kViewerIterations) + ".");
   errors.y_marks = {{0.01, "1 %"}, {0.05, "5 %"}};
   Chart iterations = albedoChart("iterations-albedo", "Iterations of gather from dark to within 1 %", "iterations",
                                  "Closed box of 256 patches, uneven light. The line is log(0.01) / log(albedo).");
@@ -88,8 +89,12 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
   const auto add = [&](const std::string& method, double albedo, double error, const std::string& then) {
     auto at = std::find_if(by_method.begin(), by_method.end(), [&](const Measured& m) { return m.method == method; });
     if (at == by_method.end()) {
-      by_method.push_back({.scene = "closed box, " + numberText(swaps) + " swaps", .method = method, .knob = "albedo",
-                           .unit = "", .points = {}, .then = {}});
+      by_method.push_back({.scene = "closed box, " + numberText(swaps) + " swaps",
+                           .method = method,
+                           .knob = "albedo",
+                           .unit = "",
+                           .points = {},
+                           .then = {}});
       at = by_method.end() - 1;
     }
     at->points.push_back({albedo, error});
@@ -98,8 +103,8 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
   for (const float albedo : albedosOf(options.quick)) {
     const double rho = rounded(albedo);
     if (progress) progress("albedo " + numberText(rho));
-    const SceneSettings scene{.kind = SceneKind::kClosedBox, .patches = 256, .entries_per_row = 60, .albedo = albedo,
-                              .seed = options.seed};
+    const SceneSettings scene{
+        .kind = SceneKind::kClosedBox, .patches = 256, .entries_per_row = 60, .albedo = albedo, .seed = options.seed};
     auto walked = measureWalk({"", scene, WalkKind::kRandom, 256, 32, swaps, swaps}, 1);
     if (!walked) return walked.error();
     for (const Measured& m : *walked) {
@@ -122,15 +127,17 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
         "goes on from the last frame: at albedo " + numberText(rho) + " " + reached);
     add("gather, settled", rho, gathered->settled, "at albedo " + numberText(rho) + " " + reached);
     const double x = 1 / (1 - rho);
-    if (gathered->reached > 0) needed.points.push_back({.x = x, .y = static_cast<double>(gathered->reached), .hover = {}});
+    if (gathered->reached > 0)
+      needed.points.push_back({.x = x, .y = static_cast<double>(gathered->reached), .hover = {}});
     expected.points.push_back({.x = x, .y = std::max(1.0, std::log(kReached) / std::log(rho)), .hover = {}});
   }
   for (const Measured& m : by_method) errors.series.push_back(overMultiplication(m));
   iterations.series = {needed, expected};
   if (!needed.points.empty())
-    part.lead = "From dark, gather needs " + numberText(needed.points.front().y) + " iterations to 1 % in a closed box of albedo " +
-                numberText(1 - 1 / needed.points.front().x) + " and " + numberText(needed.points.back().y) + " at " +
-                numberText(1 - 1 / needed.points.back().x) + ".";
+    part.lead = "From dark, gather needs " + numberText(needed.points.front().y) +
+                " iterations to 1 % in a closed box of albedo " + numberText(1 - 1 / needed.points.front().x) +
+                " and " + numberText(needed.points.back().y) + " at " + numberText(1 - 1 / needed.points.back().x) +
+                ".";
   part.charts = {std::move(errors), std::move(iterations)};
   part.measured = std::move(by_method);
   return part;

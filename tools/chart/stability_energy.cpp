@@ -32,9 +32,11 @@ struct Furnace {
 };
 
 Result<Furnace> furnaceOf(float albedo, const StabilityOptions& options) {
-  auto baked = BakedScene::bake(sceneOf(tools::furnaceBox(albedo, 1)),
-                                {.cell_m = 0.125f, .rays = options.quick ? 256u : 1024u, .seed = options.seed,
-                                 .threads = options.threads, .geometry = false});
+  auto baked = BakedScene::bake(sceneOf(tools::furnaceBox(albedo, 1)), {.cell_m = 0.125f,
+                                                                        .rays = options.quick ? 256u : 1024u,
+                                                                        .seed = options.seed,
+                                                                        .threads = options.threads,
+                                                                        .geometry = false});
   if (!baked) return baked.error();
   Furnace f{std::move(*baked), nullptr, {}, {}, 0};
   auto streamer = stream::Streamer::create(f.baked.world(), {.radius_m = 10});
@@ -86,13 +88,18 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
     const auto furnace = furnaceOf(albedo, options);
     if (!furnace) return furnace.error();
     const auto places = static_cast<uint32_t>(furnace->matrix.leaves.size());
-    const std::string clamped = "the bake lowered " + numberText(static_cast<double>(furnace->baked.stats().clamped_nodes)) +
-                                " albedos to " + numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4);
+    const std::string clamped = "the bake lowered " +
+                                numberText(static_cast<double>(furnace->baked.stats().clamped_nodes)) + " albedos to " +
+                                numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4);
     const auto add = [&](const std::string& method, Result<double> energy) {
       auto at = std::find_if(by_method.begin(), by_method.end(), [&](const Measured& m) { return m.method == method; });
       if (at == by_method.end()) {
-        by_method.push_back({.scene = "energy of a furnace (share gained or lost)", .method = method, .knob = "albedo",
-                             .unit = "", .points = {}, .then = {}});
+        by_method.push_back({.scene = "energy of a furnace (share gained or lost)",
+                             .method = method,
+                             .knob = "albedo",
+                             .unit = "",
+                             .points = {},
+                             .then = {}});
         at = by_method.end() - 1;
       }
       at->points.push_back({rho, energy && std::isfinite(*energy) ? *energy : std::numeric_limits<double>::infinity()});
@@ -113,7 +120,8 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
       const uint32_t slot = furnace->matrix.slotOf(0, info.first_node);
       for (uint32_t i = 0; i < info.nodes; ++i)
         for (size_t c = 0; c < 3; ++c)
-          sum += static_cast<double>(furnace->matrix.area_m2[slot + i]) * full->radiosity[3 * size_t{info.first_node + i} + c];
+          sum += static_cast<double>(furnace->matrix.area_m2[slot + i]) *
+                 full->radiosity[3 * size_t{info.first_node + i} + c];
     }
     add("full solve, double precision", sum / furnace->closed_form - 1);
     const auto gather = makeCpuGather(1);
@@ -136,10 +144,12 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
     add("dense solver, fp32", dense(makeCpuMultibounce(fp32), true, 4));
     add("dense solver, fp16", dense(makeCpuMultibounce(fp16), true, 4));
   }
-  Chart chart = albedoChart("energy-albedo", "Energy of a furnace against B = M / (1 - albedo)", "share of energy gained or lost",
-                            "A closed cube of 384 patches, baked; every wall shines alike. The amount; the hover says whether gained or "
-                            "lost. Past " + numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4) +
-                                " the bake lowers albedos, which costs energy on purpose.");
+  Chart chart = albedoChart(
+      "energy-albedo", "Energy of a furnace against B = M / (1 - albedo)", "share of energy gained or lost",
+      "A closed cube of 384 patches, baked; every wall shines alike. The amount; the hover says whether gained or "
+      "lost. Past " +
+          numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4) +
+          " the bake lowers albedos, which costs energy on purpose.");
   for (Measured& m : by_method) {
     std::vector<double> signs;
     for (Measured::Point& p : m.points) {
@@ -147,8 +157,7 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
       p.error = std::abs(p.error);
     }
     Series series = overMultiplication(m);
-    for (size_t i = 0; i < series.points.size(); ++i)
-      series.points[i].hover += signs[i] > 0 ? " gained" : " lost";
+    for (size_t i = 0; i < series.points.size(); ++i) series.points[i].hover += signs[i] > 0 ? " gained" : " lost";
     chart.series.push_back(std::move(series));
     if (m.method == "full solve, double precision")
       part.lead = "In a baked furnace the double-precision solve is within " + percentText(m.points.front().error) +

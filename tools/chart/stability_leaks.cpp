@@ -115,8 +115,9 @@ Result<PatchLeak> leakOfPatches(const Scene& scene, float cell_m, uint32_t rays,
 // Which kind of room a patch of the baked chessboard is in: surfaces lie on the room's own side of the wall.
 uint32_t materialAt(const formats::Node& node) {
   const Vec3 inside = node.centroid + node.normal * (kWall / 4);
-  return isLit(static_cast<uint32_t>(inside.x / (kRoom.x + kWall)), static_cast<uint32_t>(inside.z / (kRoom.z + kWall))) ? kLit
-                                                                                                                        : kDark;
+  return isLit(static_cast<uint32_t>(inside.x / (kRoom.x + kWall)), static_cast<uint32_t>(inside.z / (kRoom.z + kWall)))
+             ? kLit
+             : kDark;
 }
 
 // Direct light of all levels: clusters have the mean over their patches, as the run time asks for it.
@@ -173,7 +174,8 @@ Result<double> leakAround(const formats::World& world, const runtime::NodeValues
 }
 
 // Everything from one level up active, solved; every patch has the light of its ancestor there.
-Result<double> leakOfLevel(const formats::World& world, const runtime::NodeValues& direct, uint32_t level, int threads) {
+Result<double> leakOfLevel(const formats::World& world, const runtime::NodeValues& direct, uint32_t level,
+                           int threads) {
   using namespace runtime;
   std::vector<stream::StripPtr> active;
   for (uint32_t l = level; l < world.levels().size(); ++l)
@@ -208,8 +210,12 @@ Result<StabilityPart> stabilityOfLeaks(const StabilityOptions& options, const St
   StabilityPart part;
   if (progress) progress("leaks: patches larger than rooms");
   const Scene two = rooms(2, 1);
-  Measured patches{.scene = "dark room beside a lit one (share of its light)", .method = "patches of that size", .knob = "patch size",
-                   .unit = "m", .points = {}, .then = {}};
+  Measured patches{.scene = "dark room beside a lit one (share of its light)",
+                   .method = "patches of that size",
+                   .knob = "patch size",
+                   .unit = "m",
+                   .points = {},
+                   .then = {}};
   std::string first_shared;
   for (const float share : {0.125f, 0.25f, 0.5f, 1.0f, 2.0f, 3.0f, 4.0f, 4.5f, 6.0f, 8.0f}) {
     const float cell = share * kRoom.x;
@@ -217,23 +223,31 @@ Result<StabilityPart> stabilityOfLeaks(const StabilityOptions& options, const St
     if (!leak) return leak.error();
     patches.points.push_back({static_cast<double>(cell), leak->leaked});
     if (leak->shared > 0 && first_shared.empty())
-      first_shared = "from " + numberText(static_cast<double>(cell)) + " m on " + numberText(static_cast<double>(leak->shared)) + " of " +
-                     numberText(static_cast<double>(leak->patches)) +
-                     " patches have surface of both rooms: pieces under " +
-                     percentText(static_cast<double>(PatchSettings{}.crumb_fraction)) + " of a cell join the nearest patch";
+      first_shared =
+          "from " + numberText(static_cast<double>(cell)) + " m on " + numberText(static_cast<double>(leak->shared)) +
+          " of " + numberText(static_cast<double>(leak->patches)) +
+          " patches have surface of both rooms: pieces under " +
+          percentText(static_cast<double>(PatchSettings{}.crumb_fraction)) + " of a cell join the nearest patch";
   }
   patches.then = first_shared.empty() ? "surfaces that do not touch are never one patch" : first_shared;
 
   const uint32_t across = options.quick ? 10 : 40;
   if (progress) progress("leaks: clusters");
-  const auto baked = BakedScene::bake(rooms(across, across), {.cell_m = 1, .rays = options.quick ? 256u : 512u,
-                                                              .seed = options.seed, .threads = options.threads, .geometry = false});
+  const auto baked = BakedScene::bake(rooms(across, across), {.cell_m = 1,
+                                                              .rays = options.quick ? 256u : 512u,
+                                                              .seed = options.seed,
+                                                              .threads = options.threads,
+                                                              .geometry = false});
   if (!baked) return baked.error();
   const auto direct = directLight(baked->world());
   if (!direct) return direct.error();
   const auto levels = static_cast<uint32_t>(baked->world().levels().size());
-  Measured clusters{.scene = "dark rooms beside lit ones (share of their light)", .method = "one level of the pyramid alone",
-                    .knob = "cluster size", .unit = "m", .points = {}, .then = {}};
+  Measured clusters{.scene = "dark rooms beside lit ones (share of their light)",
+                    .method = "one level of the pyramid alone",
+                    .knob = "cluster size",
+                    .unit = "m",
+                    .points = {},
+                    .then = {}};
   for (uint32_t level = 0; level < levels; ++level) {
     uint64_t nodes = 0;
     for (uint32_t l = level; l < levels; ++l) nodes += baked->world().levels()[l].nodes;
@@ -243,33 +257,42 @@ Result<StabilityPart> stabilityOfLeaks(const StabilityOptions& options, const St
     clusters.points.push_back({std::exp2(static_cast<double>(level)), *leaked});
   }
   const stream::StreamSettings defaults;
-  const auto around = leakAround(baked->world(), *direct, {1.5f * kRoom.x + kWall, kRoom.y / 2, kRoom.z / 2}, options.threads);
+  const auto around =
+      leakAround(baked->world(), *direct, {1.5f * kRoom.x + kWall, kRoom.y / 2, kRoom.z / 2}, options.threads);
   if (!around) return around.error();
   double nearest = 0;
   for (size_t l = 0; l < clusters.points.size(); ++l)
     if (clusters.points[l].error > 0.01) {
-      nearest = static_cast<double>(defaults.radius_m) * std::pow(static_cast<double>(defaults.growth), std::log2(clusters.points[l].at) - 1);
+      nearest = static_cast<double>(defaults.radius_m) *
+                std::pow(static_cast<double>(defaults.growth), std::log2(clusters.points[l].at) - 1);
       break;
     }
-  clusters.then = nearest > 0 ? "the cut has such clusters only " + numberText(std::round(nearest)) +
-                                    " m from the eye and farther; in the dark room around the eye the brightest patch has " +
-                                    percentText(*around) + " of a lit room's light"
-                              : "nothing to do";
+  clusters.then = nearest > 0
+                      ? "the cut has such clusters only " + numberText(std::round(nearest)) +
+                            " m from the eye and farther; in the dark room around the eye the brightest patch has " +
+                            percentText(*around) + " of a lit room's light"
+                      : "nothing to do";
   Chart chart;
   chart.id = "leaks";
   chart.title = "Leaks: light in a closed dark room beside a lit one";
   chart.x_label = "size of a patch or cluster, m (the rooms are 4 m wide, walls 1 m)";
   chart.y_label = "share of the lit room's light";
-  chart.note = "Patches are cut by cells of that size and lit by their own rows. Clusters: all of one level of a baked chessboard of " +
-               numberText(across) + " x " + numberText(across) +
-               " rooms, without the finer ones, which the cut never does nearby. No light at all is drawn at the lower edge.";
+  chart.note =
+      "Patches are cut by cells of that size and lit by their own rows. Clusters: all of one level of a baked "
+      "chessboard of " +
+      numberText(across) + " x " + numberText(across) +
+      " rooms, without the finer ones, which the cut never does nearby. No light at all is drawn at the lower edge.";
   chart.log_x = chart.log_y = true;
   chart.y_marks = {{0.01, "1 %"}, {0.05, "5 %"}};
   chart.x_marks = {{static_cast<double>(kRoom.x), "a room"}};
   chart.series = {seriesOf(patches, patches.method), seriesOf(clusters, clusters.method)};
-  part.lead = "Light leaks past 1 % into a closed room " + (passes(patches, 0.01).starts_with("never") ? "with no patch size tried" : "with patches of " + passes(patches, 0.01)) +
-              ", and " + (passes(clusters, 0.01).starts_with("never") ? "with no cluster" : "with clusters of " + passes(clusters, 0.01)) +
-              " (rooms of " + numberText(static_cast<double>(kRoom.x)) + " m).";
+  part.lead =
+      "Light leaks past 1 % into a closed room " +
+      (passes(patches, 0.01).starts_with("never") ? "with no patch size tried"
+                                                  : "with patches of " + passes(patches, 0.01)) +
+      ", and " +
+      (passes(clusters, 0.01).starts_with("never") ? "with no cluster" : "with clusters of " + passes(clusters, 0.01)) +
+      " (rooms of " + numberText(static_cast<double>(kRoom.x)) + " m).";
   part.charts = {std::move(chart)};
   part.measured = {std::move(patches), std::move(clusters)};
   return part;

@@ -1,5 +1,5 @@
-// The radius of the cut towards nothing: what of the light beside the eye is lost when less and less around it is kept at
-// full detail, with the pyramid beyond and with one constant beyond.
+// The radius of the cut towards nothing: what of the light beside the eye is lost when less and less around it is kept
+// at full detail, with the pyramid beyond and with one constant beyond.
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -16,8 +16,8 @@ using namespace runtime;
 
 namespace {
 
-constexpr float kReach_m = 6;        // patches nearer than this to the eye are compared, active or not
-constexpr int kIterations = 200;     // half of the light leaves for the sky: settled to single precision
+constexpr float kReach_m = 6;     // patches nearer than this to the eye are compared, active or not
+constexpr int kIterations = 200;  // half of the light leaves for the sky: settled to single precision
 
 struct Sums {
   double difference = 0, norm = 0;
@@ -71,8 +71,9 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
   if (progress) progress("radius: a town is baked");
   const auto town = tools::makeTown({.patches = options.quick ? 8000u : 30000u, .seed = options.seed});
   if (!town) return town.error();
-  const auto baked = BakedScene::bake(sceneOf(tools::townModel(*town, false)),
-                                      {.cell_m = 1, .rays = options.quick ? 512u : 2048u, .seed = options.seed, .threads = options.threads});
+  const auto baked = BakedScene::bake(
+      sceneOf(tools::townModel(*town, false)),
+      {.cell_m = 1, .rays = options.quick ? 512u : 2048u, .seed = options.seed, .threads = options.threads});
   if (!baked) return baked.error();
   const formats::World& world = baked->world();
   const auto truth = solveWorldTruth(world, false);
@@ -80,7 +81,8 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
   const std::vector<float> radii = options.quick ? std::vector<float>{24, 16, 12, 8, 4, 2, 1}
                                                  : std::vector<float>{32, 24, 16, 12, 8, 6, 4, 3, 2, 1, 0.5f};
   const std::string scene = "town of " + numberText(world.levels()[0].nodes) + " patches of 1 m, sun and sky";
-  Measured pyramid{.scene = scene, .method = "the pyramid beyond", .knob = "radius", .unit = "m", .points = {}, .then = {}};
+  Measured pyramid{
+      .scene = scene, .method = "the pyramid beyond", .knob = "radius", .unit = "m", .points = {}, .then = {}};
   Measured constant = pyramid;
   constant.method = "one constant beyond";
   constant.then = "nothing: the constant is already at its best value";
@@ -91,7 +93,8 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
     Sums sums[2];
     double leaves = 0;
     for (const Vec3 eye : eyes) {
-      const auto there = neighbourhoodAt(world, *truth, eye, {.radius_m = radius, .hysteresis = 1, .max_level0_nodes = 32768});
+      const auto there =
+          neighbourhoodAt(world, *truth, eye, {.radius_m = radius, .hysteresis = 1, .max_level0_nodes = 32768});
       if (!there) return there.error();
       leaves += static_cast<double>(there->leaves()) / static_cast<double>(eyes.size());
       size_t k = 0;
@@ -106,18 +109,20 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
     constant.points.push_back({static_cast<double>(radius), sums[1].relative()});
     nodes.points.push_back({static_cast<double>(radius), leaves});
   }
-  pyramid.then = "falls back to clusters: the cut has " + numberText(std::round(nodes.points.back().error)) + " nodes at " +
-                 numberText(nodes.points.back().at) + " m, " + numberText(std::round(nodes.points.front().error)) + " at " +
-                 numberText(nodes.points.front().at) + " m";
+  pyramid.then = "falls back to clusters: the cut has " + numberText(std::round(nodes.points.back().error)) +
+                 " nodes at " + numberText(nodes.points.back().at) + " m, " +
+                 numberText(std::round(nodes.points.front().error)) + " at " + numberText(nodes.points.front().at) +
+                 " m";
   Chart chart;
   chart.id = "error-radius";
   chart.title = "Far too small a radius: a " + scene;
   chart.x_label = "radius of level 0, m";
   chart.y_label = "relative L2 error of radiosity";
-  chart.note = "All patches within " + numberText(static_cast<double>(kReach_m)) + " m of " +
-               numberText(static_cast<double>(eyes.size())) +
-               " eyes against the full-world solve of the same rows. A patch that is not active is seen as its nearest active "
-               "ancestor, or as the constant. Tiles come whole: at least the one that the eye is in.";
+  chart.note =
+      "All patches within " + numberText(static_cast<double>(kReach_m)) + " m of " +
+      numberText(static_cast<double>(eyes.size())) +
+      " eyes against the full-world solve of the same rows. A patch that is not active is seen as its nearest active "
+      "ancestor, or as the constant. Tiles come whole: at least the one that the eye is in.";
   chart.log_x = chart.log_y = true;
   chart.y_marks = {{0.01, "1 %"}, {0.05, "5 %"}};
   const stream::StreamSettings defaults;

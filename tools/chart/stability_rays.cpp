@@ -111,8 +111,12 @@ Result<Measured> closedFormErrors(const ClosedForm& form, const std::vector<uint
                                   uint64_t first_seed, Series& series) {
   const auto cast = prepare(form.scene, form.cell_m);
   if (!cast) return cast.error();
-  Measured m{.scene = form.name + " against the closed form", .method = "pooled rays", .knob = "rays a patch", .unit = "",
-             .points = {}, .then = {}};
+  Measured m{.scene = form.name + " against the closed form",
+             .method = "pooled rays",
+             .knob = "rays a patch",
+             .unit = "",
+             .points = {},
+             .then = {}};
   series.name = form.name;
   for (const uint32_t rays : counts) {
     double squares = 0, fourth = 0;
@@ -126,14 +130,17 @@ Result<Measured> closedFormErrors(const ClosedForm& form, const std::vector<uint
     // The mean square's standard error, carried over to its root.
     const double spread = std::sqrt(std::max(0.0, fourth / seeds - mean * mean) / seeds) / (2 * rms);
     m.points.push_back({static_cast<double>(rays), rms});
-    series.points.push_back({.x = static_cast<double>(rays), .y = std::max(rms, kLeastDrawn),
+    series.points.push_back({.x = static_cast<double>(rays),
+                             .y = std::max(rms, kLeastDrawn),
                              .y_error = std::isfinite(spread) ? spread : 0,
                              .hover = form.name + ", " + numberText(rays) + " rays: " + percentText(rms) + " rms of " +
                                       numberText(seeds) + " seeds"});
   }
-  const double slope = std::log(m.points.back().error / m.points.front().error) / std::log(m.points.back().at / m.points.front().at);
-  m.then = "nothing: noise; it falls with rays to the power " + numberText(std::round(100 * slope) / 100) + " (rms of " +
-           numberText(seeds) + " seeds, patches: " + numberText(static_cast<double>(cast->set.patches.size())) + ")";
+  const double slope =
+      std::log(m.points.back().error / m.points.front().error) / std::log(m.points.back().at / m.points.front().at);
+  m.then = "nothing: noise; it falls with rays to the power " + numberText(std::round(100 * slope) / 100) +
+           " (rms of " + numberText(seeds) +
+           " seeds, patches: " + numberText(static_cast<double>(cast->set.patches.size())) + ")";
   return m;
 }
 
@@ -143,9 +150,10 @@ Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const Sta
   StabilityPart part;
   const std::vector<uint32_t> counts = raysOf(kMostRays);
   const uint32_t seeds = options.quick ? 8 : 64;
-  Chart forms = raysChart("error-rays-closed-forms", "Error against rays: closed forms", "relative error of the form factor",
-                          "Each surface is one patch, the cap a few; rays from both ends are pooled; root mean square over " +
-                              numberText(seeds) + " seeds, with its standard error.");
+  Chart forms =
+      raysChart("error-rays-closed-forms", "Error against rays: closed forms", "relative error of the form factor",
+                "Each surface is one patch, the cap a few; rays from both ends are pooled; root mean square over " +
+                    numberText(seeds) + " seeds, with its standard error.");
   for (const ClosedForm& form : closedForms()) {
     if (progress) progress("rays: " + form.name);
     Series series;
@@ -160,8 +168,12 @@ Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const Sta
   const Scene furnace = sceneOf(tools::furnaceBox(0.5f, 1));
   const auto box = prepare(furnace, 0.125f);
   if (!box) return box.error();
-  Measured exact{.scene = "furnace against B = M / (1 - albedo)", .method = "pooled rays, Q = 512", .knob = "rays a patch",
-                 .unit = "", .points = {}, .then = "nothing to do: every row is a whole number of counts that add up to Q"};
+  Measured exact{.scene = "furnace against B = M / (1 - albedo)",
+                 .method = "pooled rays, Q = 512",
+                 .knob = "rays a patch",
+                 .unit = "",
+                 .points = {},
+                 .then = "nothing to do: every row is a whole number of counts that add up to Q"};
   for (const uint32_t rays : counts) {
     if (rays > 1024) break;
     const PatchRows rows = rowsOf(furnace, *box, rays, 512, options.seed);
@@ -188,14 +200,19 @@ Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const Sta
   const uint32_t truth_rays = options.quick ? 4096 : kMostRays;
   const std::vector<double> truth = light(truth_rays, 0, options.seed + 77);
   const std::string patches = numberText(static_cast<double>(cast->set.patches.size()));
-  Measured all{.scene = "town of " + patches + " patches, sun and sky", .method = "pooled rows", .knob = "rays a patch",
-               .unit = "", .points = {}, .then = "nothing: noise that stays still"};
+  Measured all{.scene = "town of " + patches + " patches, sun and sky",
+               .method = "pooled rows",
+               .knob = "rays a patch",
+               .unit = "",
+               .points = {},
+               .then = "nothing: noise that stays still"};
   Measured sampled = all;
   sampled.method = "rows sampled at Q = 512";
   for (const uint32_t rays : counts) {
     if (options.quick && rays > 2048) break;
     if (progress) progress("rays: town, " + numberText(rays));
-    all.points.push_back({static_cast<double>(rays), reflectedDifference(cast->set, light(rays, 0, options.seed), truth)});
+    all.points.push_back(
+        {static_cast<double>(rays), reflectedDifference(cast->set, light(rays, 0, options.seed), truth)});
     sampled.points.push_back(
         {static_cast<double>(rays), reflectedDifference(cast->set, light(rays, 512, options.seed), truth)});
   }

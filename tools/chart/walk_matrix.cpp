@@ -77,7 +77,9 @@ std::vector<FormFactorRow> quantised(std::span<const FormFactorRow> rows) {
       row[k].second = static_cast<float>(down);
     }
     left += std::llround(sum);
-    std::ranges::sort(rest, [](const auto& a, const auto& b) { return a.first != b.first ? a.first > b.first : a.second < b.second; });
+    std::ranges::sort(rest, [](const auto& a, const auto& b) {
+      return a.first != b.first ? a.first > b.first : a.second < b.second;
+    });
     for (size_t k = 0; k < rest.size() && left > 0; ++k, --left) row[rest[k].second].second += 1;
     for (size_t k = rest.size(); k-- > 0 && left < 0;)  // entries that were raised to 1 are paid for by the large ones
       if (float& count = row[rest[k].second].second; count > 1) count -= 1, ++left;

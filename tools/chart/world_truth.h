@@ -54,15 +54,15 @@ struct Case {
 float localRadius(const WorldTruth& truth, std::span<const stream::StripPtr> active, Vec3 observer);
 
 // Of the active patches within half the local radius. radiosity, source: by slot.
-Difference compare(const WorldTruth& truth, const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> radiosity,
-                   std::span<const runtime::Vec4> source, const Case& at);
+Difference compare(const WorldTruth& truth, const runtime::LocalMatrix& matrix,
+                   std::span<const runtime::Vec4> radiosity, std::span<const runtime::Vec4> source, const Case& at);
 
 // The best constant for the outside: the area-weighted mean radiosity of the patches that are not active.
 runtime::Vec4 meanOutside(const WorldTruth& truth, const runtime::LocalMatrix& matrix);
 
 // M per slot of the matrix under the truth's light. active: what the matrix was built from.
-std::vector<runtime::Vec4> sourceOf(const WorldTruth& truth, const formats::World& world, const runtime::LocalMatrix& matrix,
-                           std::span<const stream::StripPtr> active);
+std::vector<runtime::Vec4> sourceOf(const WorldTruth& truth, const formats::World& world,
+                                    const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active);
 
 // Eyes half a cell off patches that are spread evenly over the world's order: streets, fields, roofs and rooms.
 std::vector<Vec3> observersOf(const WorldTruth& truth, int count, float cell_m);
