@@ -2,6 +2,7 @@
 
 #include <embree3/rtcore.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
@@ -193,6 +194,13 @@ struct PathTracer::State {
     return {p + f.normal * (reach - hit.ray.tfar) + normal * lift, normal, surfaceAt(*scene, t, hit.hit.u, hit.hit.v).albedo,
             true};
   }
+  // No point that start() finds on the patch faces `direction`: normals there differ from the facets' by less than 26 degrees.
+  bool turnedAway(uint32_t patch, Vec3 direction) const {
+    constexpr float kSine = 0.45f;
+    for (uint32_t f = facet_start[patch]; f < facet_start[patch + 1]; ++f)
+      if (dot(facets[f].normal, direction) > -kSine) return false;
+    return true;
+  }
   bool isDoubleSided(uint32_t t) const { return scene->materials[scene->triangles[t].material].double_sided; }
 
   Vec3 skyRadiance(const runtime::Sky& sky, Vec3 w) const {
@@ -338,12 +346,11 @@ struct PathTracer::State {
                         std::span<const uint32_t> emitter_of, const TraceSettings& settings) const {
     const Lamps lamps{emitters, emitter_of, chooseLamps(emitters, patch)};
     const uint32_t per_batch = std::max(1u, (settings.paths + kBatches - 1) / kBatches);
-    double all[3][kBatches] = {}, direct[3][kBatches] = {}, sun[3] = {};
+    double all[3][kBatches] = {}, direct[3][kBatches] = {}, sun[3] = {}, counted[kBatches] = {};
     uint64_t cast_rays = 0, found = 0, buried = 0;
     for (uint32_t b = 0; b < kBatches; ++b) {
       Random random((settings.seed * 0x2545f4914f6cdd1dull + patch) * kBatches + b);
       const EvenPoints even(random);
-      uint32_t counted = 0;
       for (uint32_t i = 0; i < per_batch; ++i) {
         const auto u = even.point(i);
         const Start from = start(patch, u[0], u[1]);
@@ -354,29 +361,32 @@ struct PathTracer::State {
           ++buried;
           continue;
         }
-        ++counted;
+        ++counted[b];
         for (int c = 0; c < 3; ++c) {
           all[c][b] += static_cast<double>(from.albedo[c] * e.all[c]);
           direct[c][b] += static_cast<double>(from.albedo[c] * (e.direct[c] + e.sun[c]));
           sun[c] += static_cast<double>(e.sun[c]);
         }
       }
-      for (int c = 0; c < 3 && counted; ++c) all[c][b] /= counted, direct[c][b] /= counted;
     }
     PatchTruth truth;
     truth.buried = found == buried;
-    for (int c = 0; c < 3; ++c) {
+    const auto total = static_cast<double>(found - buried);
+    for (int c = 0; c < 3 && !truth.buried; ++c) {
+      // A ratio: of a patch that is mostly buried, batches have unlike numbers of paths, some none. Cochran. Sampling
+      // Techniques. 1977, section 6.4.
       const auto summed = [&](const double (&x)[kBatches], float& mean, float& error) {
         double sum = 0, squares = 0;
         for (const double v : x) sum += v;
-        sum /= kBatches;
-        for (const double v : x) squares += (v - sum) * (v - sum);
+        sum /= total;
+        for (uint32_t b = 0; b < kBatches; ++b) squares += (x[b] - sum * counted[b]) * (x[b] - sum * counted[b]);
         mean = static_cast<float>(sum);
-        error = static_cast<float>(std::sqrt(squares / (kBatches * (kBatches - 1))));
+        error = static_cast<float>(std::sqrt(squares * kBatches / (kBatches - 1)) / total);
+        if (std::count(std::begin(counted), std::end(counted), 0.0) == kBatches - 1) error = std::abs(mean);
       };
       summed(all[c], truth.reflected[c], truth.error[c]);
       summed(direct[c], truth.direct[c], truth.direct_error[c]);
-      truth.sun[c] = static_cast<float>(sun[c] / static_cast<double>(std::max<uint64_t>(1, found - buried)));
+      truth.sun[c] = static_cast<float>(sun[c] / total);
     }
     rays += cast_rays;
     return truth;
@@ -488,21 +498,26 @@ std::vector<Vec3> PathTracer::sunIrradiance(std::span<const uint32_t> patches, c
   std::vector<Vec3> irradiance(patches.size());
   if (!light.hasSun()) return irradiance;
   state_->forEach(patches.size(), threads, [&](size_t i) {
+    if (state_->turnedAway(patches[i], light.to_sun)) return;
     Random random(patches[i] ^ 0xd1b54a32d192ed03ull);
     const EvenPoints even(random);
     uint64_t cast_rays = 0;
     uint32_t found = 0;
     Vec3 sum;
+    std::vector<Start> dark;
     for (uint32_t k = 0; k < rays; ++k) {
       const auto u = even.point(k);
       const Start from = state_->start(patches[i], u[0], u[1]);
       if (!from.found) continue;
       const Vec3 sun = state_->sunOn(from.point, from.normal, light, cast_rays);
-      if (sun == Vec3{} && state_->isInside(from, cast_rays)) continue;  // nobody sees it: no engine would light it
-      ++found;
       sum += sun;
+      if (sun == Vec3{}) dark.push_back(from);
+      else ++found;
     }
-    if (found) irradiance[i] = sum / static_cast<float>(found);
+    if (found == 0) return;
+    for (const Start& from : dark)  // what nobody sees, no engine would light
+      found += state_->isInside(from, cast_rays) ? 0 : 1;
+    irradiance[i] = sum / static_cast<float>(found);
   });
   return irradiance;
 }
