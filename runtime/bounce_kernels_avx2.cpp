@@ -69,13 +69,17 @@ FF_AVX2 void addProduct(const float* a, uint32_t k, const float* b, Element* mat
   if (columns > 0) addTile<1>(a, k, b, matrix, column_stride, row_begin, row_end, false);
 }
 
+// `next`: so many columns again, which are fetched meanwhile: the processor's own prefetching starts anew with each
+// column. To the second-level cache, since the first cannot keep eight columns.
 template <uint32_t Columns, uint32_t Results, class Element>
 FF_AVX2 inline void addSome(const Element* matrix, size_t column_stride, uint32_t row_begin, uint32_t row_end,
-                            const uint32_t* columns, const float* const* factors, float* const* out) {
-  const Element* column[Columns];
+                            const uint32_t* columns, const uint32_t* next, const float* const* factors,
+                            float* const* out) {
+  const Element *column[Columns], *ahead[Columns];
   __m256 factor[Results][Columns];
   for (uint32_t n = 0; n < Columns; ++n) {
     column[n] = matrix + columns[n] * column_stride;
+    ahead[n] = matrix + next[n] * column_stride;
     for (uint32_t r = 0; r < Results; ++r) factor[r][n] = _mm256_set1_ps(factors[r][n] / kStoredScale<Element>);
   }
   for (uint32_t row = row_begin; row < row_end; row += kP) {
@@ -87,6 +91,8 @@ FF_AVX2 inline void addSome(const Element* matrix, size_t column_stride, uint32_
     }
 #pragma GCC unroll 8
     for (uint32_t n = 0; n < Columns; ++n) {
+      if constexpr (sizeof(Element) == sizeof(Half))  // fp32 waits for memory alone, and gains nothing
+        _mm_prefetch(reinterpret_cast<const char*>(ahead[n] + row), _MM_HINT_T1);
       const __m256 value0 = load8(column[n] + row), value1 = load8(column[n] + row + 8);
 #pragma GCC unroll 3
       for (uint32_t r = 0; r < Results; ++r) {
@@ -110,11 +116,12 @@ FF_AVX2 inline void addAll(const Element* matrix, size_t column_stride, uint32_t
   const float* at[Results];
   for (; i + kColumns <= count; i += kColumns) {
     for (uint32_t r = 0; r < Results; ++r) at[r] = factors[r] + i;
-    addSome<kColumns, Results>(matrix, column_stride, row_begin, row_end, columns + i, at, out);
+    const uint32_t* next = i + 2 * kColumns <= count ? columns + i + kColumns : columns + i;
+    addSome<kColumns, Results>(matrix, column_stride, row_begin, row_end, columns + i, next, at, out);
   }
   for (; i < count; ++i) {
     for (uint32_t r = 0; r < Results; ++r) at[r] = factors[r] + i;
-    addSome<1, Results>(matrix, column_stride, row_begin, row_end, columns + i, at, out);
+    addSome<1, Results>(matrix, column_stride, row_begin, row_end, columns + i, columns + i, at, out);
   }
 }
 
