@@ -111,27 +111,6 @@ Result<PatchSet> choosePatches(const Scene& scene, const BakeSettings& s) {
   }
 }
 
-std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float cell_m) {
-  std::vector<std::byte> bytes;
-  const auto put = [&](const void* p, size_t n) {
-    const auto* b = static_cast<const std::byte*>(p);
-    bytes.insert(bytes.end(), b, b + n);
-  };
-  put(scene.content_hash.data(), scene.content_hash.size());
-  put(&cell_m, sizeof cell_m);
-  put(&s.rays, sizeof s.rays);
-  put(&s.quanta, sizeof s.quanta);
-  put(&s.seed, sizeof s.seed);
-  put(&s.metals, sizeof s.metals);
-  for (const std::string& name : s.leave_out) put(name.c_str(), name.size() + 1);
-  put(FF_VERSION, sizeof FF_VERSION);
-  XXH128_canonical_t digest;
-  XXH128_canonicalFromHash(&digest, XXH3_128bits(bytes.data(), bytes.size()));
-  std::array<uint8_t, 16> key;
-  std::memcpy(key.data(), digest.digest, key.size());
-  return key;
-}
-
 // What sampling a tile's rows showed.
 struct Sampling {
   double deviation = 0;  // see WorldInfo::row_total_deviation
@@ -190,6 +169,28 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
 }
 
 }  // namespace
+
+std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float cell_m) {
+  std::vector<std::byte> bytes;
+  const auto put = [&](const void* p, size_t n) {
+    const auto* b = static_cast<const std::byte*>(p);
+    bytes.insert(bytes.end(), b, b + n);
+  };
+  put(scene.content_hash.data(), scene.content_hash.size());
+  put(&cell_m, sizeof cell_m);
+  put(&s.rays, sizeof s.rays);
+  put(&s.quanta, sizeof s.quanta);
+  put(&s.seed, sizeof s.seed);
+  put(&s.metals, sizeof s.metals);
+  for (const std::string& name : s.leave_out) put(name.c_str(), name.size() + 1);
+  put(FF_VERSION, sizeof FF_VERSION);
+  put(&kBakeCode, sizeof kBakeCode);
+  XXH128_canonical_t digest;
+  XXH128_canonicalFromHash(&digest, XXH3_128bits(bytes.data(), bytes.size()));
+  std::array<uint8_t, 16> key;
+  std::memcpy(key.data(), digest.digest, key.size());
+  return key;
+}
 
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
                             const Progress& progress) {

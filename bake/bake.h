@@ -1,5 +1,6 @@
 // The whole bake, top to bottom: scene -> patches -> rays -> pooled rows -> pyramid -> strips -> shards -> manifest.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -44,6 +45,12 @@ struct BakeStats {
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
+
+// Raised whenever the same scene and settings come to give other bytes.
+inline constexpr uint32_t kBakeCode = 2;
+
+// WorldInfo::bake_key of a bake: scene, settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
+std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);
 
 // phase: "patches", "rays", "pyramid", "strips", "geometry"; done of total. Called from a thread of the baker's own, at most
 // ten times a second, never concurrently.

@@ -4,11 +4,16 @@
 
 #include <filesystem>
 #include <string>
+#include <thread>
 
+#include "tools/chart/answer.h"
+#include "tools/chart/page.h"
+#include "tools/chart/paper.h"
+#include "tools/chart/setting_charts.h"
+#include "tools/chart/stability.h"
 #include "tools/chart/sweep.h"
 #include "tools/version.h"
 #include "tools/view_camera.h"
-#include "tools/view_scene.h"
 
 namespace {
 
@@ -16,10 +21,12 @@ using namespace ff;
 
 struct Options {
   chart::SweepOptions sweep;
-  std::string camera, out;
-  int places = 0;
-  double target_error = 0.03, budget_ms = 1, budget_mib = 256;
+  std::string camera, out, command, paper_scene;
+  double target_percent = 3, budget_ms = 1, budget_mib = 256;
+  bool stability = false, paper = false, keep_settings = false;
 };
+
+void say(const std::string& line) { fmt::print(stderr, "{}\n", line); }
 
 // Observers: evenly over the path's time.
 std::vector<chart::Place> placesOf(const view::CameraPath& path, int count) {
@@ -31,27 +38,97 @@ std::vector<chart::Place> placesOf(const view::CameraPath& path, int count) {
   return places;
 }
 
-Result<void> run(Options& o) {
-  const auto say = [](const std::string& line) { fmt::print(stderr, "{}\n", line); };
+Result<void> write(const chart::Report& report, const Options& o, const std::string& name) {
+  const auto written = chart::writePage(report, o.out, name);
+  if (!written) return written.error();
+  if (!written->left_out.empty()) say(written->left_out);
+  fmt::print("{}\n", (std::filesystem::path(o.out) / (name + ".html")).string());
+  return {};
+}
+
+std::string percent(const chart::Figure& f) { return fmt::format("{:.2f} ± {:.2f} %", 100 * f.value, 100 * f.error); }
+
+chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
+  chart::Report r;
+  const formats::World& world = sweep.world->world();
+  const formats::WorldInfo& info = world.info();
+  r.title = "Speed against accuracy: " + info.scene;
+  r.settings = sweep.settings;
+  r.tables = sweep.sources;
+  r.facts = {{"world", fmt::format("{}: {} patches of {:.3g} m, {} levels", std::filesystem::path(sweep.world_path).filename().string(),
+                                   world.levels()[0].nodes, static_cast<double>(info.cell_m), world.levels().size())},
+             {"truth", fmt::format("path tracing on the scene's triangles, {} paths a patch; its own noise, taken off: {}",
+                                   o.sweep.quick ? 1024 : 4096,
+                                   [&] {
+                                     std::string noise;
+                                     for (size_t l = 0; l < sweep.lights.size(); ++l)
+                                       noise += fmt::format("{}{} {:.1f} %", l ? ", " : "", sweep.lights[l].name,
+                                                            100 * sweep.tracer_noise[l]);
+                                     return noise;
+                                   }())},
+             {"error", "relative L2 of reflected radiosity over the surface within half the local radius of the default, at " +
+                           std::to_string(sweep.places.size()) + " observers; ± is the jackknife's over observers"},
+             {"machine", fmt::format("{} threads, CPU solvers", std::thread::hardware_concurrency())},
+             {"seed", std::to_string(o.sweep.seed)}};
+  return r;
+}
+
+// The answer first, then what else was found.
+Result<void> answer(chart::Report& r, const Options& o, const chart::Sweep& sweep) {
+  const chart::Answer cheapest = chart::cheapestWithin(r, o.target_percent / 100);
+  const chart::Answer best = chart::bestWithin(r, o.budget_ms, o.budget_mib);
+  fmt::print("cheapest with error <= {:.3g} %: {}\n", o.target_percent, cheapest.line);
+  fmt::print("best within {:.3g} ms and {:.4g} MiB: {}\n", o.budget_ms, o.budget_mib, best.line);
+  r.lead = fmt::format("Cheapest with an error of at most {:.3g} % in every light: {} Best within {:.3g} ms and {:.4g} MiB: {} The default:",
+                       o.target_percent, cheapest.line, o.budget_ms, o.budget_mib, best.line);
+  for (const chart::Accuracy& a : r.settings.front().accuracy)
+    r.lead += fmt::format(" {} {} (median {:.2f} %);", a.light, percent(a.rel_l2), 100 * a.median.value);
+  r.lead.back() = '.';
+  if (o.keep_settings || !cheapest.setting) return {};
+  const std::string& world = sweep.world_of[*cheapest.setting];
+  if (auto written = chart::writeRecommendation(world, r, *cheapest.setting); !written) return written;
+  fmt::print("auto takes it up from beside {}\n", world);
+  return {};
+}
+
+Result<void> chartWorld(Options& o) {
   view::CameraPath path;
   if (!o.camera.empty()) {
     auto read = view::readCamera(o.camera);
     if (!read) return read.error();
     path = std::move(*read);
-  } else if (!o.sweep.world_path.empty()) {
-    const auto world = formats::World::open(o.sweep.world_path);
-    if (!world) return world.error();
-    const auto scene = view::loadScene(*world);
-    if (!scene) return scene.error();
-    path = view::findPath(*scene);
+    o.sweep.path = placesOf(path, o.sweep.observers);
   }
-  o.sweep.path = placesOf(path, o.places > 0 ? o.places : (o.sweep.quick ? 6 : 12));
   const view::Sun sun = path.sun.value_or(view::Sun{normalized({0.512f, 0.768f, 0.384f}), {13.0f, 11.8f, 9.6f}});
   const runtime::Sky sky = path.sky.value_or(view::skyOf({1.1f, 1.4f, 1.9f}, {0.4f, 0.5f, 0.7f}));
   o.sweep.lights.push_back({"sun and sky", sky, sun.to_sun, sun.irradiance, 0});
   o.sweep.lights.push_back({"lamps", {}, {0, 1, 0}, {}, 1});
-  auto swept = chart::runSweep(o.sweep, say);
-  if (!swept) return swept.error();
+  auto sweep = chart::runSweep(o.sweep, say);
+  if (!sweep) return sweep.error();
+  chart::Report report = reportOf(o, *sweep);
+  if (auto answered = answer(report, o, *sweep); !answered) return answered;
+  report.charts = chart::settingCharts(report);
+  report.facts.emplace_back("command", o.command);
+  return write(report, o, "accuracy");
+}
+
+Result<void> run(Options& o) {
+  if (o.sweep.scene_path.empty() && !o.stability && !o.paper)
+    return Error{ErrorCode::kUsage, "", "scene", "there is none", "name a .glb or .gltf, or ask for --stability or --paper"};
+  if (!o.sweep.scene_path.empty())
+    if (auto done = chartWorld(o); !done) return done;
+  if (o.stability) {
+    auto report = chart::measureStability({.quick = o.sweep.quick, .seed = o.sweep.seed}, say);
+    if (!report) return report.error();
+    report->facts.emplace_back("command", o.command);
+    if (auto written = write(*report, o, "stability"); !written) return written;
+  }
+  if (o.paper) {
+    auto report = chart::measurePaper({.scene_path = o.paper_scene, .quick = o.sweep.quick, .seed = o.sweep.seed}, say);
+    if (!report) return report.error();
+    report->facts.emplace_back("command", o.command);
+    if (auto written = write(*report, o, "paper"); !written) return written;
+  }
   return {};
 }
 
@@ -61,18 +138,34 @@ int main(int argc, char** argv) {
   CLI::App app{"Measures a world at many settings, charts speed against accuracy, and names the setting that is just enough."};
   app.set_version_flag("--version", std::string("ffchart ") + FF_VERSION);
   Options o;
-  app.add_option("scene", o.sweep.scene_path, "the scene, .glb or .gltf")->required();
+  bool observers_given = false;
+  app.add_option("scene", o.sweep.scene_path, "the scene, .glb or .gltf");
   app.add_option("-o,--out", o.out, "folder for the page, its charts and the worlds baked on the way")->required();
-  app.add_option("--world", o.sweep.world_path, "a world baked from it, taken as the default; else one is baked");
-  app.add_option("--camera", o.camera, "camera path (JSON); without it one is found");
-  app.add_option("--places", o.places, "observers along the path")->check(CLI::Range(1, 1000));
+  app.add_option("--world", o.sweep.world_path, "a world baked from the scene, taken as the default; else one is baked");
+  app.add_option("--patch-size", o.sweep.cell_m, "of the default bake, m; else from --patch-budget")->check(CLI::PositiveNumber);
+  app.add_option("--patch-budget", o.sweep.patch_budget, "patches of the default bake")->capture_default_str();
+  app.add_option("--leave-out", o.sweep.leave_out, "material whose triangles take no part, as in ffbake (repeatable)");
+  app.add_option("--camera", o.camera, "camera path (JSON) with sun and sky; without it observers are spread over the surface");
+  auto* observers = app.add_option("--observers", o.sweep.observers, "how many")->check(CLI::Range(2, 1000))->capture_default_str();
+  app.add_option("--target-error", o.target_percent, "name the cheapest setting with at most this error, %")->capture_default_str();
+  app.add_option("--budget-ms", o.budget_ms, "name the most accurate setting that relights in this time ...")->capture_default_str();
+  app.add_option("--budget-mib", o.budget_mib, "... and this memory")->capture_default_str();
+  app.add_flag("--keep-settings", o.keep_settings, "do not write the answer beside the world");
   app.add_flag("--quick", o.sweep.quick, "fewer settings and paths: under two minutes for 60,000 patches");
+  app.add_flag("--stability", o.stability, "another page: where methods break (needs no scene)");
+  app.add_flag("--paper", o.paper, "another page: the seed paper's figures 3 and 4, ours beside theirs (needs no scene)");
+  app.add_option("--paper-scene", o.paper_scene, "a scene of about 63,000 unit faces for --paper; a town is made besides");
+  app.add_option("--seed", o.sweep.seed, "of bakes and path tracing")->capture_default_str();
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     const int code = app.exit(e);
     return code == 0 ? 0 : static_cast<int>(ErrorCode::kUsage);
   }
+  observers_given = observers->count() > 0;
+  if (o.sweep.quick && !observers_given) o.sweep.observers = 6;
+  o.command = "ffchart";
+  for (int i = 1; i < argc; ++i) o.command += std::string(" ") + argv[i];
   o.sweep.folder = (std::filesystem::path(o.out) / "worlds").string();
   if (auto ran = run(o); !ran) {
     fmt::print(stderr, "ffchart: {}\n", ran.error().line());

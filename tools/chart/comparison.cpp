@@ -30,6 +30,13 @@ double ratio(std::span<const double> a, std::span<const double> b, size_t withou
   return y > 0 ? x / y : kNotMeasured;
 }
 
+// Whether one place carries nearly all: leaving it out says nothing about the rest.
+bool hangsOnOne(std::span<const double> weights) {
+  double sum = 0, largest = 0;
+  for (const double w : weights) sum += w, largest = std::max(largest, w);
+  return largest > 0.9 * sum;
+}
+
 double quantile(std::vector<double>& sorted, double q) {
   if (sorted.empty()) return kNotMeasured;
   return sorted[std::min(sorted.size() - 1, static_cast<size_t>(q * static_cast<double>(sorted.size())))];
@@ -41,7 +48,7 @@ Figure relativeNorm(std::span<const double> numerators, std::span<const double> 
   const auto norm = [&](size_t without) { return std::sqrt(std::max(0.0, ratio(numerators, denominators, without))); };
   // max() would turn "not finite" into 0.
   const double all = ratio(numerators, denominators, kAll);
-  if (!std::isfinite(all)) return {all, kNotMeasured};
+  if (!std::isfinite(all) || hangsOnOne(denominators)) return {std::isfinite(all) ? norm(kAll) : all, kNotMeasured};
   return {norm(kAll), jackknife(numerators.size(), norm)};
 }
 
@@ -94,7 +101,7 @@ Accuracy Comparison::accuracy(const std::string& light) const {
   a.full_solve_rel_l2 = relativeNorm(column(&Place::full), column(&Place::full_truth));
   const auto power = column(&Place::power), true_power = column(&Place::true_power);
   const auto gain = [&](size_t without) { return ratio(power, true_power, without) - 1; };
-  a.energy = {gain(kAll), jackknife(places_.size(), gain)};
+  a.energy = {gain(kAll), hangsOnOne(true_power) ? kNotMeasured : jackknife(places_.size(), gain)};
   double mean = 0;
   for (const Patch& p : patches_) mean += p.truth / static_cast<double>(patches_.size());
   std::vector<double> errors;

@@ -39,7 +39,8 @@ class Comparison {
   std::vector<Patch> patches_;
 };
 
-// sqrt(numerator / denominator) over all places, with its jackknife error. Spans of equal length.
+// sqrt(numerator / denominator) over all places, with its jackknife error: not known where one place has nearly all of
+// the denominator. Spans of equal length.
 Figure relativeNorm(std::span<const double> numerators, std::span<const double> denominators);
 // Median and half the range from the 25th to the 75th of a hundred.
 Figure medianOf(std::vector<double> samples);

@@ -18,8 +18,11 @@ struct SweepOptions {
   float cell_m = 0;                       // 0: the world's, or from the patch budget
   uint32_t patch_budget = 60000;
   bool quick = false;
-  std::vector<Place> path;                // observers; reach is filled in by the sweep
-  std::vector<Lighting> lights;           // those that are path traced; at least one
+  bool only_default = false;
+  std::vector<Place> path;                // observers; reach is filled in by the sweep. Empty: spread over the surface
+  int observers = 12;                     // if the path is empty
+  std::vector<Lighting> lights;           // to be path traced; at least one. One of lamps is left out where there are none, and
+                                          // followed by one of the lamps nearest to an observer alone
   uint64_t seed = 1;
 };
 
@@ -34,10 +37,11 @@ struct Sweep {
   Knobs standard;
   std::vector<Knobs> knobs;               // by setting
   std::vector<Setting> settings;          // the default first
-  Table sources;                          // the end-to-end error, source by source
+  std::vector<Table> sources;             // the end-to-end error, source by source, a light each
   std::unique_ptr<MeasuredWorld> world;   // the default's
-  std::string world_path;
-  std::vector<double> tracer_noise;       // by light
+  std::string world_path;                 // of the default
+  std::vector<std::string> world_of;      // by setting
+  std::vector<double> tracer_noise;       // by light, relative
 };
 
 // Errors: those of import, bake and reading.
