@@ -57,6 +57,25 @@ TEST(Patches, FloorsOnBothSidesOfAThinWallAreTwoPatches) {
   EXPECT_EQ(set->patches.size(), 2u);
 }
 
+TEST(Patches, ALampAndItsFittingAreNeverOnePatch) {
+  // A lamp in the middle of a plate, edge to edge with it; and a crumb of a lamp, which does not join a dark patch either.
+  Scene s;
+  const uint32_t plate = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {.5f, .5f, .5f}, {9, 9, 9});
+  addQuad(s, {0, .5f, 0}, {0, .5f, 1}, {.4f, .5f, 1}, {.4f, .5f, 0}, plate);
+  addQuad(s, {.4f, .5f, 0}, {.4f, .5f, 1}, {.8f, .5f, 1}, {.8f, .5f, 0}, lamp);
+  addQuad(s, {.9f, .7f, 0}, {.9f, .7f, .1f}, {1, .7f, .1f}, {1, .7f, 0}, lamp);
+  const auto set = makePatches(s, {.cell_m = 1});
+  ASSERT_TRUE(set);
+  ASSERT_EQ(set->patches.size(), 2u);
+  const Patch &dark = set->patches[0], &shining = set->patches[1];
+  EXPECT_FALSE(dark.shines);
+  EXPECT_EQ(dark.emission, Vec3{});
+  EXPECT_NEAR(dark.area_m2, 0.4f, 1e-6f);
+  EXPECT_TRUE(shining.shines);
+  EXPECT_NEAR(shining.area_m2, 0.41f, 1e-6f);
+  EXPECT_NEAR(shining.emission.x, 9 * 3.14159265f, 1e-4f);
+}
+
 TEST(Patches, ATJunctionConnects) {
   // One long quad beside two short ones; no corner of the middle is shared.
   Scene s;

@@ -116,6 +116,35 @@ TEST(RowSampling, IsUnbiasedOverItsOffset) {
   for (uint32_t j = 0; j < 50; ++j) EXPECT_NEAR(mean[j], row.area_m2[j] / sum * 16, 2.0 / kOffsets) << j;
 }
 
+TEST(RowSampling, AllLampsTogetherGetTheirShareWithinOneCount) {
+  // Lamps here and there among 200 columns: sampled one after the other they are off by one count in all, not one each.
+  ExchangeRow row;
+  std::vector<uint8_t> shines;
+  double lamps = 0, sum = 0.2;
+  row.sky_m2 = 0.2;
+  for (uint32_t j = 0; j < 200; ++j) {
+    row.column.push_back(j);
+    row.area_m2.push_back(0.001 + 0.00003 * (j * 37 % 101));
+    shines.push_back(j % 9 == 4);
+    sum += row.area_m2.back();
+    if (shines.back()) lamps += row.area_m2.back();
+  }
+  SampledRow out;
+  for (const double offset : {0.0, 0.31, 0.5, 0.77, 0.999}) {
+    sampleRow(row, 1, 64, offset, out, shines);
+    uint32_t all = out.sky + out.absorbed, of_lamps = 0;
+    for (size_t k = 0; k < out.column.size(); ++k) {
+      if (k > 0) {
+        EXPECT_LT(out.column[k - 1], out.column[k]);
+      }
+      all += out.count[k];
+      of_lamps += shines[out.column[k]] ? out.count[k] : 0;
+    }
+    EXPECT_EQ(all, 64u);
+    EXPECT_LE(std::abs(of_lamps - 64 * lamps / sum), 1 + 1e-9) << "offset " << offset;
+  }
+}
+
 TEST(RowSampling, ARowThatSeesNothingIsAbsorbed) {
   ExchangeRow row;
   SampledRow out;
@@ -155,6 +184,43 @@ TEST(Pyramid, SiblingsAreConsecutiveShareCellAndOrientationAndLieInOneTile) {
   }
   for (const auto& tiles : h.tile_start)
     for (size_t t = 0; t + 1 < tiles.size(); ++t) EXPECT_LE(tiles[t + 1] - tiles[t], formats::kTileNodes);
+}
+
+TEST(Pyramid, LampsAndCrevicesHaveClustersOfTheirOwn) {
+  CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.03125f, 16);
+  std::vector<float> sky(c.set.patches.size(), 0), near(sky.size());
+  for (size_t i = 0; i < sky.size(); ++i) {
+    c.set.patches[i].shines = i % 7 == 0;
+    near[i] = i % 5 == 0 ? 0.9f : 0.2f;
+  }
+  const Hierarchy h = makeHierarchy(c.set.patches, sky, near);
+  ASSERT_GE(h.levels(), 2u);
+  std::vector<uint32_t> patch_of(sky.size());
+  for (uint32_t p = 0; p < sky.size(); ++p) patch_of[h.number[p]] = p;
+  for (uint32_t i = 1; i < sky.size(); ++i) {
+    if (h.parents[0][i] != h.parents[0][i - 1]) continue;
+    EXPECT_EQ(c.set.patches[patch_of[i]].shines, c.set.patches[patch_of[i - 1]].shines);
+    EXPECT_EQ(near[patch_of[i]], near[patch_of[i - 1]]);
+  }
+}
+
+TEST(FormFactor, HitsWithinHalfACellAreCountedAsNear) {
+  // Plates 0.2 cells apart: nearly all rays end on the other one within half a cell. Far apart: none.
+  for (const float gap : {0.02f, 0.5f}) {
+    Scene s;
+    const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+    addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, m);
+    addQuad(s, {0, gap, 0}, {1, gap, 0}, {1, gap, 1}, {0, gap, 1}, m);
+    const CastScene c = cast(std::move(s), 0.1f, 64);
+    uint64_t near = 0;
+    for (const uint32_t n : c.rows.near) near += n;
+    // A ray at angle t to the normal is gap / cos t long: within 0.05 if cos t > 0.4, 84 % of cosine-weighted rays.
+    const double share = static_cast<double>(near) / (64.0 * static_cast<double>(c.rows.near.size()));
+    if (gap < 0.05f)
+      EXPECT_NEAR(share, 0.84, 0.02);
+    else
+      EXPECT_EQ(near, 0u);
+  }
 }
 
 TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
