@@ -48,6 +48,8 @@ class MeasuredWorld {
   // Numbers in lookedAt() of the patches of a place.
   const std::vector<uint32_t>& ofPlace(size_t place) const { return of_place_[place]; }
 
+  // Direct light alone: `full` and `traced` stay empty. Nothing is kept.
+  LitWorld direct(const Lighting& light, uint32_t shadow_rays) const;
   // Direct light, full solve and, if asked, path tracing. Kept by light and shadow rays.
   Result<const LitWorld*> lit(const Lighting& light, uint32_t shadow_rays, const TraceSettings* trace);
 
