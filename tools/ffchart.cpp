@@ -2,6 +2,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/core.h>
 
+#include <cmath>
 #include <filesystem>
 #include <string>
 #include <thread>
@@ -46,7 +47,9 @@ Result<void> write(const chart::Report& report, const Options& o, const std::str
   return {};
 }
 
-std::string percent(const chart::Figure& f) { return fmt::format("{:.2f} ± {:.2f} %", 100 * f.value, 100 * f.error); }
+std::string percent(const chart::Figure& f) {
+  return std::isfinite(f.error) ? fmt::format("{:.2f} ± {:.2f} %", 100 * f.value, 100 * f.error) : fmt::format("{:.2f} %", 100 * f.value);
+}
 
 chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
   chart::Report r;

@@ -144,12 +144,21 @@ Result<std::vector<double>> RunningCut::reflected(const LitWorld& light, std::sp
   return out;
 }
 
-Result<void> RunningCut::timeRelight(int samples, CutCost& cost) {
-  if (auto first = step(knobs_.iterations); !first) return first;
+Result<double> RunningCut::timeFrame() {
+  if (auto first = step(knobs_.iterations); !first) return first.error();  // the other one has had the caches
+  const auto start = Clock::now();
+  if (auto stepped = step(knobs_.iterations); !stepped) return stepped.error();
+  return msSince(start);
+}
+
+Result<void> RunningCut::timeRelight(int samples, RunningCut& yardstick, CutCost& cost, std::vector<double>& yardstick_ms) {
   for (int i = 0; i < samples; ++i) {
-    const auto start = Clock::now();
-    if (auto stepped = step(knobs_.iterations); !stepped) return stepped;
-    cost.relight_ms.push_back(msSince(start));
+    const auto standard = yardstick.timeFrame();
+    if (!standard) return standard.error();
+    const auto own = timeFrame();
+    if (!own) return own.error();
+    yardstick_ms.push_back(*standard);
+    cost.relight.push_back(*own / *standard);
   }
   return {};
 }

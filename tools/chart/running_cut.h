@@ -12,7 +12,7 @@
 namespace ff::chart {
 
 struct CutCost {
-  std::vector<double> relight_ms;  // samples
+  std::vector<double> relight;     // samples, in units of the yardstick's time
   double update_ms = 0;            // of all steps of a walk
   double tiles = 0;                // in tiles of 256 level-0 patches that entered on it
   double memory_bytes = 0;         // local matrix, dense matrix, strips in memory
@@ -36,8 +36,9 @@ class RunningCut {
   // ancestor's irradiance on its own albedo, as the viewer draws it.
   Result<std::vector<double>> reflected(const LitWorld& light, std::span<const uint32_t> patches);
 
-  // Times `samples` frames whose light has changed.
-  Result<void> timeRelight(int samples, CutCost& cost);
+  // Times `samples` frames whose light has changed, each beside one of the yardstick, so that whatever else the machine does
+  // hits both: adds the ratios to cost.relight, the yardstick's own times to yardstick_ms.
+  Result<void> timeRelight(int samples, RunningCut& yardstick, CutCost& cost, std::vector<double>& yardstick_ms);
   // Times the changes of the cut while the observer walks on by one patch a step.
   Result<void> timeWalk(Vec3 from, Vec3 direction, int steps, CutCost& cost);
   void measureMemory(CutCost& cost) const;
@@ -46,6 +47,7 @@ class RunningCut {
 
  private:
   RunningCut() = default;
+  Result<double> timeFrame();  // ms
   const MeasuredWorld* world_ = nullptr;
   Knobs knobs_;
   Vec3 observer_;

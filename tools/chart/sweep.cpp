@@ -22,8 +22,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr uint32_t kTimedPlaces = 3;
-constexpr uint32_t kLargeDense = 2048;     // dense matrices above fill for minutes: they are shown at few places
-constexpr uint32_t kPlacesOfLargeDense = 2;
 constexpr size_t kFewestPatches = 40;      // within reach of a place; an eye in a crevice or in the sky says little
 
 // Rows that are as good as exact, beside those of other bakes.
@@ -68,14 +66,12 @@ std::vector<Varied> settingsToTry(const Knobs& standard, bool quick) {
       }
     });
   };
+  // Larger ones fill for minutes at each place; --paper has them.
   dense(Method::kMultibounce, quick ? 512 : 1024);
   dense(Method::kMultibounceHalf, quick ? 512 : 1024);
   if (!quick) dense(Method::kMultibounceLuminance, 1024);
   dense(Method::kSeed, quick ? 512 : 1024);
   dense(Method::kPlainLocal, quick ? 512 : 1024);
-  if (!quick)
-    for (const Method m : {Method::kMultibounce, Method::kMultibounceHalf, Method::kSeed, Method::kPlainLocal})
-      dense(m, 4096);
   // The bake.
   if (!quick)
     vary("rays", "16384 rays, 8192 quanta", [](Knobs& k) { k.bake.rays = kReferenceRays, k.bake.quanta = kReferenceQuanta; });
@@ -136,7 +132,9 @@ Result<Baked> bakeAt(const SweepOptions& options, const bake::Scene& scene, cons
 // What one setting is and does, in all lights.
 class SettingRun {
  public:
-  SettingRun(const SweepOptions& options, Sweep& sweep, MeasuredWorld& world) : options_(options), sweep_(sweep), world_(world) {}
+  // yardstick: the default at the first place, lit.
+  SettingRun(const SweepOptions& options, Sweep& sweep, MeasuredWorld& world, RunningCut& yardstick, std::vector<double>& yardstick_ms)
+      : options_(options), sweep_(sweep), world_(world), yardstick_(yardstick), yardstick_ms_(yardstick_ms) {}
 
   Result<Setting> run(const Varied& varied, double bake_seconds) {
     const Knobs& k = varied.knobs;
@@ -151,9 +149,7 @@ class SettingRun {
     s.bake_seconds = bake_seconds;
     auto cut = RunningCut::create(world_, k);
     if (!cut) return refused(std::move(s), cut.error());
-    const bool few = isDense(k.method) && k.places > kLargeDense;
-    const size_t places = few ? std::min<size_t>(kPlacesOfLargeDense, sweep_.places.size()) : sweep_.places.size();
-    if (few) s.note = fmt::format("at {} of {} places", places, sweep_.places.size());
+    const size_t places = sweep_.places.size();
     std::vector<Comparison> comparisons(sweep_.lights.size());
     CutCost cost;
     std::vector<double> memory, nodes, patches;
@@ -169,14 +165,14 @@ class SettingRun {
       memory.push_back(cost.memory_bytes);
       nodes.push_back(cost.active_nodes);
       patches.push_back(cost.patches);
-      if (at * kTimedPlaces / places == cost.relight_ms.size() / kSamples)
-        if (auto timed = cut->timeRelight(kSamples, cost); !timed) return timed.error();
+      if (at * kTimedPlaces / places == cost.relight.size() / kSamples)
+        if (auto timed = cut->timeRelight(kSamples, yardstick_, cost, yardstick_ms_); !timed) return timed.error();
     }
     const Place& first = sweep_.places.front();
     const Vec3 ahead = length(first.velocity) > 0 ? normalized(first.velocity) : Vec3{1, 0, 0};
     if (auto moved = cut->moveTo(first.observer); !moved) return refused(std::move(s), moved.error());
-    if (auto timed = cut->timeWalk(first.observer, ahead, few ? 2 : 6, cost); !timed) return timed.error();
-    s.relight_ms = medianOf(cost.relight_ms);
+    if (auto timed = cut->timeWalk(first.observer, ahead, 6, cost); !timed) return timed.error();
+    s.relight_ms = medianOf(cost.relight);  // ms when all are done and the yardstick is known
     if (cost.tiles > 0) s.update_ms_per_tile = {cost.update_ms / cost.tiles, kNotMeasured};
     s.memory_bytes = medianOf(memory).value;
     s.active_nodes = medianOf(nodes).value;
@@ -226,6 +222,8 @@ class SettingRun {
   const SweepOptions& options_;
   Sweep& sweep_;
   MeasuredWorld& world_;
+  RunningCut& yardstick_;
+  std::vector<double>& yardstick_ms_;
   std::vector<double> tracer_noise_;
 };
 
@@ -239,7 +237,9 @@ Result<std::vector<Place>> placesOf(const SweepOptions& options, const MeasuredW
       // Every other one first, so that whatever is left out the rest is spread evenly.
       const size_t k = i < wanted ? 2 * i : 2 * (i - wanted) + 1;
       const formats::Node& node = patches[patches.size() * (2 * k + 1) / (4 * wanted)];
-      candidates.push_back({node.centroid + node.normal * (0.5f * standard.bake.cell_m), {}, 0});
+      // Ten cells a second along the surface: a man's run through a town of 1 m.
+      const Vec3 along = normalized(cross(node.normal, std::abs(node.normal.y) < 0.7f ? Vec3{0, 1, 0} : Vec3{1, 0, 0}));
+      candidates.push_back({node.centroid + node.normal * (0.5f * standard.bake.cell_m), along * (10 * standard.bake.cell_m), 0});
     }
   auto cut = RunningCut::create(world, standard);
   if (!cut) return cut.error();
@@ -257,6 +257,17 @@ Result<std::vector<Place>> placesOf(const SweepOptions& options, const MeasuredW
     return Error{ErrorCode::kUsage, options.scene_path, "camera path", "no observer has surfaces within reach",
                  "lead the path through the scene, or leave it out"};
   return places;
+}
+
+Result<RunningCut> yardstickOf(Sweep& sweep) {
+  auto cut = RunningCut::create(*sweep.world, sweep.standard);
+  if (!cut) return cut.error();
+  if (auto moved = cut->moveTo(sweep.places.front().observer); !moved) return moved.error();
+  const auto lit = sweep.world->lit(sweep.lights.front(), sweep.standard.shadow_rays, nullptr);
+  if (!lit) return lit.error();
+  if (auto set = cut->setLight(**lit); !set) return set.error();
+  if (auto settled = cut->settle(); !settled) return settled.error();
+  return cut;
 }
 
 // The lamps nearest to an observer: an emitting patch and all that follow from one to the next within two cells.
@@ -317,7 +328,7 @@ struct Rows {
   }
 };
 
-Result<Rows> rowsOf(MeasuredWorld& world, const SweepOptions&, const Sweep& sweep) {
+Result<Rows> rowsOf(MeasuredWorld& world, const Sweep& sweep) {
   Rows rows;
   for (uint32_t p = 0; p < world.patches().size(); ++p) rows.patch_at[Rows::keyOf(world.patches()[p])] = p;
   for (const Lighting& light : sweep.lights) {
@@ -441,6 +452,9 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   std::vector<Varied> all = settingsToTry(sweep.standard, options.quick);
   if (options.only_default) all.resize(1);
   std::unique_ptr<Rows> reference;
+  auto yardstick = yardstickOf(sweep);
+  if (!yardstick) return yardstick.error();
+  std::vector<double> yardstick_ms;
   std::vector<BakeKnobs> bakes;
   for (const Varied& v : all)
     if (std::find(bakes.begin(), bakes.end(), v.knobs.bake) == bakes.end()) bakes.push_back(v.knobs.bake);
@@ -460,15 +474,15 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
       seconds = baked->seconds;
     }
     world->lookAt(sweep.places, options.quick ? 150 : 300);
-    SettingRun run(options, sweep, *world);
+    SettingRun run(options, sweep, *world, *yardstick, yardstick_ms);
     for (const Varied& v : all) {
       if (v.knobs.bake != knobs) continue;
       auto setting = run.run(v, seconds);
       if (!setting) return setting.error();
-      std::string line = fmt::format("{:<34} {:8.3f} ms", setting->name, setting->relight_ms.value);
+      std::string line = fmt::format("{:<34} {:7.2f} times the default's frame", setting->name, setting->relight_ms.value);
       for (const Accuracy& a : setting->accuracy)
-        line += fmt::format("   {} {:.2f} +- {:.2f} % (median {:.2f}, full solve {:.2f})", a.light, 100 * a.rel_l2.value,
-                            100 * a.rel_l2.error, 100 * a.median.value, 100 * a.full_solve_rel_l2.value);
+        line += fmt::format("   {} {:.2f} % (median {:.2f}, full solve {:.2f})", a.light, 100 * a.rel_l2.value,
+                            100 * a.median.value, 100 * a.full_solve_rel_l2.value);
       say(line + (setting->note.empty() ? "" : "   " + setting->note));
       sweep.settings.push_back(std::move(*setting));
       sweep.knobs.push_back(v.knobs);
@@ -476,11 +490,13 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
       if (v.varies.empty()) sweep.tracer_noise = run.tracerNoise();
     }
     if (world != sweep.world.get() && knobs.rays == kReferenceRays && knobs.quanta == kReferenceQuanta) {
-      auto rows = rowsOf(*world, options, sweep);
+      auto rows = rowsOf(*world, sweep);
       if (!rows) return rows.error();
       reference = std::make_unique<Rows>(std::move(*rows));
     }
   }
+  const double unit_ms = medianOf(yardstick_ms).value;
+  for (Setting& s : sweep.settings) s.relight_ms = {s.relight_ms.value * unit_ms, s.relight_ms.error * unit_ms};
   if (!options.only_default)
     if (auto split = splitSources(options, sweep, reference.get()); !split) return split.error();
   return sweep;

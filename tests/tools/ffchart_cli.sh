@@ -1,0 +1,47 @@
+#!/usr/bin/env bash
+# usage: ffchart_cli.sh FFCHART FFSCENE FOLDER : the command's page, table and answer; that they repeat; exit codes.
+set -euo pipefail
+ffchart=$1 ffscene=$2 folder=$3
+rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
+fail() { echo "FAILED: $*" >&2; exit 1; }
+expect() {  # expect CODE command...
+  local want=$1 got=0; shift
+  "$@" >out.txt 2>err.txt || got=$?
+  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(tail -n 3 err.txt)"
+}
+"$ffscene" town --patches 2k -o town.glb >/dev/null
+expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --target-error 50
+grep -q '^cheapest with error <= 50 %: ' out.txt || fail "no answer: $(cat out.txt)"
+for f in accuracy.html accuracy.csv speed-accuracy-sun-and-sky.svg speed-accuracy-lamps.svg; do [ -s "a/$f" ] || fail "no a/$f"; done
+ls a/worlds/*.settings.json >/dev/null || fail "the answer is not beside the world"
+expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings
+python3 - <<'PY' || fail "the table is wrong"
+import csv
+rows = list(csv.DictReader(open("a/accuracy.csv")))
+default = {r["light"]: r for r in rows if r["is_default"] == "1"}
+assert {"sun and sky", "lamps"} <= set(default), default
+for r in default.values():  # a small town: a few per cent end to end, far less of it from the run time
+    assert 0 < float(r["rel_l2"]) < 0.15 and float(r["full_solve_rel_l2"]) < 0.02, r
+    assert float(r["relight_ms"]) > 0 and float(r["bake_seconds"]) > 0
+seed = [r for r in rows if r["setting"].startswith("seed") and r["light"] == "lamps"]
+assert float(seed[0]["rel_l2"]) > float(default["lamps"]["rel_l2"]), "the baseline beats the default"
+PY
+cp a/accuracy.csv first.csv
+expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings
+python3 - <<'PY' || fail "two runs differ"
+import csv
+times = {"relight_ms", "relight_ms_error", "update_ms_per_tile", "memory_bytes", "bake_seconds", "on_front"}
+read = lambda f: [{k: v for k, v in r.items() if k not in times} for r in csv.DictReader(open(f))]
+a, b = read("first.csv"), read("a/accuracy.csv")
+assert a == b, next((x, y) for x, y in zip(a, b) if x != y)
+PY
+expect 0 "$ffchart" --version
+expect 0 "$ffchart" --help
+expect 1 "$ffchart"
+expect 1 "$ffchart" -o x
+[ "$(wc -l <err.txt)" -eq 1 ] || fail "not one line: $(cat err.txt)"
+expect 2 "$ffchart" absent.glb -o x
+expect 2 "$ffchart" town.glb -o x --world absent.ffm
+"$ffscene" box -o box.glb >/dev/null
+expect 3 "$ffchart" box.glb -o x --world a/worlds/cell1_rays4096_quanta512.ffm
+grep -q 'name the scene that the world was baked from' err.txt || fail "no remedy: $(cat err.txt)"
