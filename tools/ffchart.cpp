@@ -13,6 +13,7 @@
 #include "tools/chart/setting_charts.h"
 #include "tools/chart/stability.h"
 #include "tools/chart/sweep.h"
+#include "tools/chart/temporal.h"
 #include "tools/version.h"
 #include "tools/view_camera.h"
 
@@ -94,6 +95,33 @@ Result<void> answer(chart::Report& r, const Options& o, const chart::Sweep& swee
   return {};
 }
 
+// How light that changes is followed, where the last light is brightest.
+Result<void> addLag(chart::Report& r, const Options& o, chart::Sweep& sweep) {
+  chart::Lighting dark;
+  dark.name = "dark";
+  const bool two = sweep.lights.size() > 1;
+  const chart::Lighting &before = two ? sweep.lights[0] : dark, &after = sweep.lights[two ? 1 : 0];
+  const auto lit = sweep.world->lit(after, sweep.standard.shadow_rays, nullptr);
+  if (!lit) return lit.error();
+  size_t best = 0;
+  double most = -1;
+  for (size_t at = 0; at < sweep.places.size(); ++at) {
+    double light = 0;
+    for (const uint32_t number : sweep.world->ofPlace(at)) {
+      const Vec3 b = (*lit)->traced[number].reflected;
+      light += static_cast<double>(b.x + b.y + b.z);
+    }
+    if (light > most) most = light, best = at;
+  }
+  say("light that changes");
+  auto temporal = chart::measureTemporal(*sweep.world, sweep.places[best], before, after,
+                                         {.standard = sweep.standard, .quick = o.sweep.quick});
+  if (!temporal) return temporal.error();
+  r.charts.insert(r.charts.end(), temporal->charts.begin(), temporal->charts.end());
+  r.tables.push_back(std::move(temporal->table));
+  return {};
+}
+
 Result<void> chartWorld(Options& o) {
   view::CameraPath path;
   if (!o.camera.empty()) {
@@ -111,6 +139,7 @@ Result<void> chartWorld(Options& o) {
   chart::Report report = reportOf(o, *sweep);
   if (auto answered = answer(report, o, *sweep); !answered) return answered;
   report.charts = chart::settingCharts(report);
+  if (auto followed = addLag(report, o, *sweep); !followed) return followed;
   report.facts.emplace_back("command", o.command);
   return write(report, o, "accuracy");
 }
