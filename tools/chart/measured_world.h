@@ -27,11 +27,6 @@ struct LitWorld {
   std::vector<PatchTruth> traced;  // one per patch of `looked_at`
 };
 
-struct MeasureSettings {
-  uint32_t patches_per_place = 250;  // traced, spread evenly over those within reach
-  TraceSettings trace;
-};
-
 class MeasuredWorld {
  public:
   // Takes a world as it is. scene outlives it. Errors: unreadable world, or one of another scene.

@@ -3,17 +3,14 @@
 #include <fmt/core.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
-#include <cmath>
 #include <filesystem>
 #include <fstream>
-#include <limits>
-#include <map>
-#include <optional>
 
 #include "bake/gltf_import.h"
 #include "tools/chart/comparison.h"
+#include "tools/chart/error_sources.h"
+#include "tools/chart/places.h"
 #include "tools/chart/running_cut.h"
 
 namespace ff::chart {
@@ -22,10 +19,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr uint32_t kTimedPlaces = 3;
-constexpr size_t kFewestPatches = 40;      // within reach of a place; an eye in a crevice or in the sky says little
-
-// Rows that are as good as exact, beside those of other bakes.
-constexpr uint32_t kReferenceRays = 16384, kReferenceQuanta = 8192;
 
 struct Varied {
   std::string name, varies;
@@ -227,38 +220,6 @@ class SettingRun {
   std::vector<double> tracer_noise_;
 };
 
-// The path's observers, or some spread over the surface; within half the local radius of the default.
-Result<std::vector<Place>> placesOf(const SweepOptions& options, const MeasuredWorld& world, const Knobs& standard) {
-  std::vector<Place> candidates = options.path;
-  const size_t wanted = candidates.empty() ? static_cast<size_t>(options.observers) : candidates.size();
-  const auto& patches = world.patches();
-  if (candidates.empty())
-    for (size_t i = 0; i < 2 * wanted; ++i) {  // twice as many: some will be in crevices
-      // Every other one first, so that whatever is left out the rest is spread evenly.
-      const size_t k = i < wanted ? 2 * i : 2 * (i - wanted) + 1;
-      const formats::Node& node = patches[patches.size() * (2 * k + 1) / (4 * wanted)];
-      // Ten cells a second along the surface: a man's run through a town of 1 m.
-      const Vec3 along = normalized(cross(node.normal, std::abs(node.normal.y) < 0.7f ? Vec3{0, 1, 0} : Vec3{1, 0, 0}));
-      candidates.push_back({node.centroid + node.normal * (0.5f * standard.bake.cell_m), along * (10 * standard.bake.cell_m), 0});
-    }
-  auto cut = RunningCut::create(world, standard);
-  if (!cut) return cut.error();
-  std::vector<Place> places;
-  for (Place& place : candidates) {
-    if (places.size() == wanted) break;
-    if (auto moved = cut->moveTo(place.observer); !moved) return moved.error();
-    place.reach_m = std::min(cut->localRadius() / 2, 24 * standard.bake.cell_m);
-    const auto near = std::count_if(patches.begin(), patches.end(), [&](const formats::Node& n) {
-      return length(n.centroid - place.observer) <= place.reach_m;
-    });
-    if (static_cast<size_t>(near) >= std::min(kFewestPatches, patches.size())) places.push_back(place);
-  }
-  if (places.empty())
-    return Error{ErrorCode::kUsage, options.scene_path, "camera path", "no observer has surfaces within reach",
-                 "lead the path through the scene, or leave it out"};
-  return places;
-}
-
 Result<RunningCut> yardstickOf(Sweep& sweep) {
   auto cut = RunningCut::create(*sweep.world, sweep.standard);
   if (!cut) return cut.error();
@@ -268,159 +229,6 @@ Result<RunningCut> yardstickOf(Sweep& sweep) {
   if (auto set = cut->setLight(**lit); !set) return set.error();
   if (auto settled = cut->settle(); !settled) return settled.error();
   return cut;
-}
-
-// The lamps nearest to an observer: an emitting patch and all that follow from one to the next within two cells.
-std::optional<Lighting> oneRoomLit(const Lighting& lamps, const MeasuredWorld& world, std::span<const Place> places) {
-  std::vector<const formats::Node*> emitters;
-  for (const formats::Node& n : world.patches())
-    if (!(n.emission == Vec3{})) emitters.push_back(&n);
-  size_t first = 0;
-  float nearest = std::numeric_limits<float>::infinity();
-  for (size_t e = 0; e < emitters.size(); ++e)
-    for (const Place& place : places)
-      if (const float d = length(emitters[e]->centroid - place.observer); d < nearest) nearest = d, first = e;
-  const float reach = 2 * world.world().info().cell_m;
-  std::vector<bool> lit(emitters.size(), false);
-  std::vector<size_t> next;
-  if (!emitters.empty()) next.push_back(first), lit[first] = true;
-  Lighting one = lamps;
-  one.name = "one room lit";
-  one.lit = Box{};
-  size_t count = next.size();
-  while (!next.empty()) {
-    const size_t e = next.back();
-    next.pop_back();
-    one.lit.add(emitters[e]->centroid);
-    for (size_t f = 0; f < emitters.size(); ++f)
-      if (!lit[f] && length(emitters[f]->centroid - emitters[e]->centroid) < reach) lit[f] = true, ++count, next.push_back(f);
-  }
-  if (count == 0 || count == emitters.size()) return std::nullopt;  // no lamp, or all of them are one
-  const float half = world.world().info().cell_m / 2;
-  one.lit = {one.lit.lo - Vec3{half, half, half}, one.lit.hi + Vec3{half, half, half}};
-  return one;
-}
-
-std::vector<Lighting> lightsOf(const SweepOptions& options, const MeasuredWorld& world, std::span<const Place> places,
-                               const Say& say) {
-  std::vector<Lighting> lights;
-  const bool any = std::any_of(world.patches().begin(), world.patches().end(),
-                               [](const formats::Node& n) { return !(n.emission == Vec3{}); });
-  for (const Lighting& light : options.lights) {
-    if (light.lamps > 0 && !any) {
-      say(light.name + ": the scene has none");
-      continue;
-    }
-    lights.push_back(light);
-    if (light.lamps > 0)
-      if (auto one = oneRoomLit(light, world, places)) lights.push_back(*one);
-  }
-  return lights;
-}
-
-// The full solves of the reference bake, by where a patch is: the order of nodes depends on the rays.
-struct Rows {
-  using Key = std::array<float, 6>;
-  std::map<Key, uint32_t> patch_at;
-  std::vector<std::vector<double>> reflected;  // by light, 3 per patch
-  static Key keyOf(const formats::Node& n) {
-    return {n.centroid.x, n.centroid.y, n.centroid.z, n.normal.x, n.normal.y, n.normal.z};
-  }
-};
-
-Result<Rows> rowsOf(MeasuredWorld& world, const Sweep& sweep) {
-  Rows rows;
-  for (uint32_t p = 0; p < world.patches().size(); ++p) rows.patch_at[Rows::keyOf(world.patches()[p])] = p;
-  for (const Lighting& light : sweep.lights) {
-    const auto lit = world.lit(light, sweep.standard.shadow_rays, nullptr);
-    if (!lit) return lit.error();
-    std::vector<double> reflected = (*lit)->full;
-    for (size_t p = 0; p < world.patches().size(); ++p)
-      for (int c = 0; c < 3; ++c)
-        reflected[3 * p + static_cast<size_t>(c)] -= static_cast<double>((*lit)->lamps.mean[0][p][c]);
-    rows.reflected.push_back(std::move(reflected));
-  }
-  return rows;
-}
-
-std::string percent(const Figure& f) {
-  if (!std::isfinite(f.value)) return "\u2014";
-  return std::isfinite(f.error) && f.error > 0 ? fmt::format("{:.2f} \u00b1 {:.2f} %", 100 * f.value, 100 * f.error)
-                                               : fmt::format("{:.2f} %", 100 * f.value);
-}
-
-// Each source is measured by taking it away and nothing else.
-Result<void> splitSources(const SweepOptions& options, Sweep& sweep, const Rows* reference) {
-  const TraceSettings trace = SettingRun::traceSettings(options);
-  MeasuredWorld& world = *sweep.world;
-  auto cut = RunningCut::create(world, sweep.standard);
-  if (!cut) return cut.error();
-  for (size_t l = 0; l < sweep.lights.size(); ++l) {
-    const auto lit = world.lit(sweep.lights[l], sweep.standard.shadow_rays, &trace);
-    if (!lit) return lit.error();
-    Comparison total, exact;  // the default; with reference rows and a full solve
-    std::vector<double> rows, more_steps, sun, truth;
-    for (size_t at = 0; at < sweep.places.size(); ++at) {
-      std::vector<uint32_t> patches;
-      for (const uint32_t number : world.ofPlace(at)) patches.push_back(world.lookedAt()[number]);
-      if (auto moved = cut->moveTo(sweep.places[at].observer); !moved) return moved;
-      if (auto set = cut->setLight(**lit); !set) return set;
-      if (auto settled = cut->settle(); !settled) return settled.error();
-      const auto got = cut->reflected(**lit, patches);
-      if (!got) return got.error();
-      if (auto stepped = cut->step(200); !stepped) return stepped;
-      const auto later = cut->reflected(**lit, patches);
-      if (!later) return later.error();
-      total.addPlace(world, **lit, world.ofPlace(at), *got);
-      double row = 0, more = 0, direct = 0, power = 0;
-      std::vector<double> best;
-      for (size_t k = 0; k < patches.size(); ++k) {
-        const formats::Node& node = world.patches()[patches[k]];
-        const auto area = static_cast<double>(node.area_m2);
-        const PatchTruth& traced = (*lit)->traced[world.ofPlace(at)[k]];
-        uint32_t other = bake::kNone;
-        if (reference)
-          if (const auto found = reference->patch_at.find(Rows::keyOf(node)); found != reference->patch_at.end())
-            other = found->second;
-        for (int c = 0; c < 3; ++c) {
-          const size_t i = 3 * k + static_cast<size_t>(c), from = 3 * size_t{patches[k]} + static_cast<size_t>(c);
-          const double full = (*lit)->full[from] - static_cast<double>((*lit)->lamps.mean[0][patches[k]][c]);
-          const double better = other == bake::kNone ? full : reference->reflected[l][3 * size_t{other} + static_cast<size_t>(c)];
-          const double s = static_cast<double>(node.albedo[c] * ((*lit)->sun.mean[0][patches[k]][c] - traced.sun[c]));
-          best.push_back(better);
-          row += area * (full - better) * (full - better);
-          more += area * ((*later)[i] - (*got)[i]) * ((*later)[i] - (*got)[i]);
-          direct += area * s * s;
-          power += area * full * full;
-        }
-      }
-      exact.addPlace(world, **lit, world.ofPlace(at), best);
-      rows.push_back(row);
-      more_steps.push_back(more);
-      sun.push_back(direct);
-      truth.push_back(power);
-    }
-    const Accuracy all = total.accuracy(""), floor = exact.accuracy("");
-    Table t;
-    t.id = "sources-" + std::to_string(l + 1);
-    t.title = "Where the error comes from: " + sweep.lights[l].name;
-    t.note = fmt::format("Relative L2 over {} places. Each line is measured by taking its source away and nothing else; squares of "
-                         "the four lines would add up to the square of the whole if they were independent.",
-                         sweep.places.size());
-    t.columns = {"source", "error", "measured as"};
-    t.rows.push_back({"all together", percent(all.rel_l2), "the default against the path tracer"});
-    t.rows.push_back({reference ? "patches" : "patches and rows", percent(floor.rel_l2),
-                      reference ? fmt::format("full solve, {} rays and {} quanta, against the path tracer", kReferenceRays, kReferenceQuanta)
-                                : "full solve of the default's rows against the path tracer"});
-    if (reference) t.rows.push_back({"rows", percent(relativeNorm(rows, truth)), "full solve of the default's rows against that of the reference rows"});
-    t.rows.push_back({"cut", percent(all.full_solve_rel_l2), "streamed against the full solve of the same rows"});
-    t.rows.push_back({"solver", percent(relativeNorm(more_steps, truth)), "what 200 more steps change"});
-    if (sweep.lights[l].hasSun())
-      t.rows.push_back({"of which shadow rays", percent(relativeNorm(sun, truth)),
-                        fmt::format("sun by {} rays a patch against the path tracer's (its noise included)", sweep.standard.shadow_rays)});
-    sweep.sources.push_back(std::move(t));
-  }
-  return {};
 }
 
 }  // namespace
@@ -498,7 +306,7 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   const double unit_ms = medianOf(yardstick_ms).value;
   for (Setting& s : sweep.settings) s.relight_ms = {s.relight_ms.value * unit_ms, s.relight_ms.error * unit_ms};
   if (!options.only_default)
-    if (auto split = splitSources(options, sweep, reference.get()); !split) return split.error();
+    if (auto split = splitSources(SettingRun::traceSettings(options), sweep, reference.get()); !split) return split.error();
   return sweep;
 }
 
