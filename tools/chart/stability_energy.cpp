@@ -149,7 +149,9 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
       "A closed cube of 384 patches, baked; every wall shines alike. The amount; the hover says whether gained or "
       "lost. Past " +
           numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4) +
-          " the bake lowers albedos, which costs energy on purpose.");
+          " the bake lowers albedos, which costs energy on purpose; before it, albedos are stored in steps of 1 / "
+          "65535, and "
+          "that is multiplied as light is.");
   for (Measured& m : by_method) {
     std::vector<double> signs;
     for (Measured::Point& p : m.points) {
