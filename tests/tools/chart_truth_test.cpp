@@ -475,6 +475,23 @@ TEST(PathTracer, RefusesAWorldWithoutDrawingGeometry) {
   std::filesystem::remove_all(folder);
 }
 
+TEST(PathTracer, SeesTheSideOfADoubleSidedSurfaceThatFacesTheRay) {
+  bake::Scene scene;
+  level(scene, 0, 0, true, addMaterial(scene, kGrey));
+  scene.materials[0].double_sided = true;
+  const Traced t(std::move(scene), 0.25f);
+  for (int i = 0; i < 100; ++i) {
+    const float x = 0.05f + 0.9f * static_cast<float>(i) / 100;
+    for (const float side : {1.0f, -1.0f}) {
+      const uint32_t seen = t.tracer->patchSeen({x, 2 * side, 0.31f}, normalized({0.1f, -side, 0.05f}));
+      if (seen == PathTracer::kNoPatch) continue;  // past the edge
+      EXPECT_GT(t.nodes[seen].normal.y * side, 0.9f);
+    }
+    EXPECT_NE(t.tracer->patchSeen({x, 2, 0.31f}, {0, -1, 0}), PathTracer::kNoPatch) << x;
+    EXPECT_NE(t.tracer->patchSeen({x, -2, 0.31f}, {0, 1, 0}), PathTracer::kNoPatch) << x;
+  }
+}
+
 TEST(PathTracer, SeesPatchesFromTheFrontAlone) {
   bake::Scene scene;
   level(scene, 0, 0, true, addMaterial(scene, kGrey));

@@ -42,6 +42,7 @@ class MeasuredWorld {
   const std::vector<uint32_t>& lookedAt() const { return looked_at_; }
   // Numbers in lookedAt() of the patches of a place.
   const std::vector<uint32_t>& ofPlace(size_t place) const { return of_place_[place]; }
+  size_t placesLookedAt() const { return of_place_.size(); }
 
   // Direct light alone: `full` and `traced` stay empty. Nothing is kept.
   LitWorld direct(const Lighting& light, uint32_t shadow_rays) const;

@@ -119,9 +119,10 @@ struct PathTracer::State {
       args->valid[0] = 0;
   }
 
-  Result<RTCScene> makeScene(std::span<const Vec3> positions, std::span<const bake::Triangle> triangles, bool holes) {
+  Result<RTCScene> makeScene(std::span<const Vec3> positions, std::span<const bake::Triangle> triangles, bool holes,
+                             RTCSceneFlags flags = RTC_SCENE_FLAG_NONE) {
     RTCScene made = rtcNewScene(device);
-    rtcSetSceneFlags(made, RTC_SCENE_FLAG_ROBUST);
+    rtcSetSceneFlags(made, RTC_SCENE_FLAG_ROBUST | flags);
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
     auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
                                                                  3 * sizeof(float), positions.size()));
@@ -146,8 +147,15 @@ struct PathTracer::State {
     return made;
   }
 
-  RTCRayHit cast(RTCScene in, Vec3 origin, Vec3 direction, float far_m) const {
+  static void dropBacks(const RTCFilterFunctionNArguments* args) {
+    const auto* ray = reinterpret_cast<const RTCRay*>(args->ray);  // of rtcIntersect1: one
+    const auto* hit = reinterpret_cast<const RTCHit*>(args->hit);
+    if (hit->Ng_x * ray->dir_x + hit->Ng_y * ray->dir_y + hit->Ng_z * ray->dir_z >= 0) args->valid[0] = 0;
+  }
+
+  RTCRayHit cast(RTCScene in, Vec3 origin, Vec3 direction, float far_m, float near_m = 0, bool fronts_only = false) const {
     RTCRayHit r{};
+    r.ray.tnear = near_m;
     r.ray.org_x = origin.x, r.ray.org_y = origin.y, r.ray.org_z = origin.z;
     r.ray.dir_x = direction.x, r.ray.dir_y = direction.y, r.ray.dir_z = direction.z;
     r.ray.tfar = far_m;
@@ -155,6 +163,7 @@ struct PathTracer::State {
     r.hit.geomID = r.hit.primID = r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
+    if (fronts_only) context.filter = dropBacks;
     rtcIntersect1(in, &context, &r);
     return r;
   }
@@ -459,7 +468,7 @@ Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::W
     state->facets.insert(state->facets.end(), own.begin(), own.end());
   }
   state->facet_start.push_back(static_cast<uint32_t>(state->facets.size()));
-  auto drawing = state->makeScene(corners, triangles, false);
+  auto drawing = state->makeScene(corners, triangles, false, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
   if (!drawing) return drawing.error();
   state->drawing = *drawing;
   if (!state->fault.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->fault, ""};
@@ -524,10 +533,17 @@ std::vector<Vec3> PathTracer::sunIrradiance(std::span<const uint32_t> patches, c
 
 uint64_t PathTracer::raysCast() const { return state_->rays; }
 
-uint32_t PathTracer::patchSeen(Vec3 origin, Vec3 direction) const {
-  const RTCRayHit hit = state_->cast(state_->drawing, origin, direction, std::numeric_limits<float>::infinity());
-  if (hit.hit.geomID == RTC_INVALID_GEOMETRY_ID) return kNoPatch;
-  return dot({hit.hit.Ng_x, hit.hit.Ng_y, hit.hit.Ng_z}, direction) < 0 ? state_->patch_of[hit.hit.primID] : kNoPatch;
+PathTracer::Sight PathTracer::sight(Vec3 origin, Vec3 direction) const {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const auto met = [](const RTCRayHit& r) { return r.hit.geomID != RTC_INVALID_GEOMETRY_ID; };
+  RTCRayHit hit = state_->cast(state_->drawing, origin, direction, kInfinity);
+  if (!met(hit)) return {kNoPatch, kInfinity};
+  const float at = hit.ray.tfar;
+  if (dot({hit.hit.Ng_x, hit.hit.Ng_y, hit.hit.Ng_z}, direction) >= 0) {
+    const float margin = 4 * state_->quantum + 1e-5f * at;
+    hit = state_->cast(state_->drawing, origin, direction, at + margin, std::max(0.0f, at - margin), true);
+  }
+  return {met(hit) ? state_->patch_of[hit.hit.primID] : kNoPatch, at};
 }
 
 }  // namespace ff::chart

@@ -54,9 +54,15 @@ class PathTracer {
   // Paths per second of the last trace on its threads: rays cast, counted.
   uint64_t raysCast() const;
 
-  // The patch seen along a ray through the drawing geometry; kNoPatch: none, or a back.
+  // The patch seen along a ray through the drawing geometry; kNoPatch: none, or a back. Of a double-sided surface, whose
+  // sides lie at one place, the side that faces the ray.
   static constexpr uint32_t kNoPatch = 0xffffffffu;
-  uint32_t patchSeen(Vec3 origin, Vec3 direction) const;
+  uint32_t patchSeen(Vec3 origin, Vec3 direction) const { return sight(origin, direction).patch; }
+  struct Sight {
+    uint32_t patch = kNoPatch;
+    float distance_m = 0;  // to what is met, backs as well; infinity: nothing
+  };
+  Sight sight(Vec3 origin, Vec3 direction) const;  // direction: unit
 
  private:
   struct State;
