@@ -8,6 +8,7 @@
 #include "runtime/bounce_kernels.h"
 #include "runtime/cpu_seed.h"
 #include "runtime/page_memory.h"
+#include "runtime/places.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {
@@ -31,7 +32,6 @@ class CpuPlainLocal final : public BounceMatrix {
         matrix_(stride_ * rows_),
         name_("plain local cpu, " + std::to_string(bounces) + " products, " +
               (sizeof(Element) == 2 ? "fp16" : "fp32")) {
-    present_.assign(rows_, 0);
     colour_.assign(rows_, {});
     columns_.assign(rows_, 0);
     changed_.assign(rows_, {});
@@ -41,7 +41,7 @@ class CpuPlainLocal final : public BounceMatrix {
   }
 
   bool allocated() const { return static_cast<bool>(matrix_); }
-  uint32_t capacity() const override { return places_; }
+  uint32_t capacity() const override { return places_.capacity(); }
   uint64_t bytes() const override { return uint64_t{stride_} * rows_ * sizeof(Element); }
   BounceStats stats() const override { return stats_; }
   const char* name() const override { return name_.c_str(); }
@@ -52,10 +52,7 @@ class CpuPlainLocal final : public BounceMatrix {
       return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
     for (uint32_t r = 0; r < block.places.size(); ++r) {
       const uint32_t p = block.places[r];
-      FF_CHECK_LT(p, places_);
-      FF_CHECK_EQ(int{present_[p]}, 0);
-      used_ = std::max(used_, p + 1);
-      present_[p] = 1;
+      places_.take(p);
       colour_[p] = block.albedo[r];
       for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e)
         set(p, block.columns[e], block.row_values[e]);
@@ -70,23 +67,19 @@ class CpuPlainLocal final : public BounceMatrix {
   Result<void> remove(std::span<const uint32_t> places) override {
     const auto start = Clock::now();
     for (const uint32_t p : places) {
-      FF_CHECK_EQ(int{present_[p]}, 1);
-      present_[p] = 0;
+      zeroPlace(matrix_.data(), stride_, places_.used(), p);
       colour_[p] = {};
-      std::memset(static_cast<void*>(matrix_.data() + p * stride_), 0, stride_ * sizeof(Element));
-      for (uint32_t j = 0; j < used_; ++j) matrix_.data()[j * stride_ + p] = {};
+      places_.give(p);
     }
-    while (used_ > 0 && !present_[used_ - 1]) --used_;
     stats_.left += places.size();
     stats_.last_update_ms = msSince(start);
     return {};
   }
 
   Result<void> clear() override {
-    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * used_ * sizeof(Element));
-    std::fill(present_.begin(), present_.end(), uint8_t{0});
+    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * places_.used() * sizeof(Element));
     std::fill(colour_.begin(), colour_.end(), Vec4{});
-    used_ = 0;
+    places_.clear();
     return {};
   }
 
@@ -94,11 +87,10 @@ class CpuPlainLocal final : public BounceMatrix {
 
   Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override {
     const auto start = Clock::now();
-    FF_CHECK_EQ(source.size(), size_t{places_});
-    FF_CHECK_EQ(irradiance.size(), size_t{places_});
+    places_.checkLight(source, irradiance);
     bounce(source);
-    for (uint32_t i = 0; i < places_; ++i)
-      irradiance[i] = present_[i] ? Vec4{light_[0][i], light_[1][i], light_[2][i], 0} : Vec4{};
+    for (uint32_t i = 0; i < irradiance.size(); ++i)
+      irradiance[i] = places_.taken(i) ? Vec4{light_[0][i], light_[1][i], light_[2][i], 0} : Vec4{};
     stats_.last_relight_ms = msSince(start);
     return {};
   }
@@ -106,13 +98,12 @@ class CpuPlainLocal final : public BounceMatrix {
   Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
                               std::span<Vec4> irradiance) override {
     const auto start = Clock::now();
-    FF_CHECK_EQ(places.size(), difference.size());
-    FF_CHECK_EQ(irradiance.size(), size_t{places_});
+    places_.checkChange(places, difference, irradiance);
     for (size_t i = 0; i < places.size(); ++i) changed_[places[i]] = difference[i];
     bounce(changed_);
     for (const uint32_t place : places) changed_[place] = {};
-    for (uint32_t i = 0; i < places_; ++i) {
-      if (!present_[i]) continue;
+    for (uint32_t i = 0; i < irradiance.size(); ++i) {
+      if (!places_.taken(i)) continue;
       irradiance[i].x += light_[0][i];
       irradiance[i].y += light_[1][i];
       irradiance[i].z += light_[2][i];
@@ -132,11 +123,11 @@ class CpuPlainLocal final : public BounceMatrix {
 
   // light_ = F (source + C F (source + C F source ...)), so many products.
   void bounce(std::span<const Vec4> source) {
-    const uint32_t rows = (used_ + kPanelRows - 1) / kPanelRows * kPanelRows;
+    const uint32_t rows = (places_.used() + kPanelRows - 1) / kPanelRows * kPanelRows;
     for (int b = 0; b < bounces_; ++b) {
       uint32_t n = 0;
-      for (uint32_t j = 0; j < used_; ++j) {
-        if (!present_[j]) continue;
+      for (uint32_t j = 0; j < places_.used(); ++j) {
+        if (!places_.taken(j)) continue;
         columns_[n] = j;
         factors_[0][n] = source[j].x + (b > 0 ? colour_[j].x * light_[0][j] : 0);
         factors_[1][n] = source[j].y + (b > 0 ? colour_[j].y * light_[1][j] : 0);
@@ -163,14 +154,13 @@ class CpuPlainLocal final : public BounceMatrix {
     }
   }
 
-  uint32_t places_, rows_;
+  Places places_;
+  uint32_t rows_;
   size_t stride_;
   int bounces_;
-  uint32_t used_ = 0;  // one past the highest place in use
   WorkerPool pool_;
   BounceKernels<Element> kernels_ = bounceKernels<Element>();
   PageMemory<Element> matrix_;
-  std::vector<uint8_t> present_;
   std::vector<Vec4> colour_, changed_;
   std::vector<uint32_t> columns_;
   std::vector<float> factors_[3], light_[3], partial_;
@@ -181,10 +171,7 @@ class CpuPlainLocal final : public BounceMatrix {
 template <class Element>
 Result<std::unique_ptr<BounceMatrix>> make(const MultibounceSettings& settings, int bounces) {
   auto matrix = std::make_unique<CpuPlainLocal<Element>>(settings, bounces);
-  if (!matrix->allocated())
-    return Error{ErrorCode::kUsage, "", "",
-                 "not enough memory for a matrix of " + std::to_string(settings.places) + " places",
-                 "ask for fewer places, or for fp16"};
+  if (!matrix->allocated()) return tooLittleMemory(settings.places, "ask for fewer places, or for fp16");
   return std::unique_ptr<BounceMatrix>(std::move(matrix));
 }
 
@@ -192,8 +179,7 @@ Result<std::unique_ptr<BounceMatrix>> make(const MultibounceSettings& settings, 
 
 Result<std::unique_ptr<BounceMatrix>> makeCpuPlainLocal(const MultibounceSettings& settings, int bounces) {
   FF_CHECK_LT(0, bounces);
-  if (settings.places == 0 || settings.places > kMaxSlots)
-    return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxSlots) + " places", ""};
+  if (auto sound = checkPlaces(settings.places); !sound) return sound.error();
   return settings.storage == Storage::kFloat16 ? make<Half>(settings, bounces) : make<float>(settings, bounces);
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "runtime/page_memory.h"
+#include "runtime/places.h"
 #include "runtime/seed_kernels.h"
 #include "runtime/worker_pool.h"
 
@@ -33,12 +34,11 @@ class CpuSeed final : public BounceMatrix {
         pool_(settings.threads),
         matrix_(stride_ * rows_) {
     for (auto* v : {&colour_, &f_col_, &f_row_, &g_col_, &g_row_, &weighted_, &col_, &row_}) v->assign(rows_, {});
-    present_.assign(rows_, 0);
     partial_.assign(size_t{(rows_ + kChunk - 1) / kChunk} * rows_, {});
   }
 
   bool allocated() const { return static_cast<bool>(matrix_); }
-  uint32_t capacity() const override { return places_; }
+  uint32_t capacity() const override { return places_.capacity(); }
   uint64_t bytes() const override { return uint64_t{stride_} * rows_ * sizeof(Half4); }
   BounceStats stats() const override { return stats_; }
   const char* name() const override { return "seed cpu"; }
@@ -57,23 +57,19 @@ class CpuSeed final : public BounceMatrix {
   Result<void> remove(std::span<const uint32_t> places) override {
     const auto start = Clock::now();
     for (const uint32_t p : places) {
-      FF_CHECK_EQ(int{present_[p]}, 1);
-      present_[p] = 0;
+      zeroPlace(matrix_.data(), stride_, places_.used(), p);
       colour_[p] = {};
-      std::memset(static_cast<void*>(matrix_.data() + p * stride_), 0, stride_ * sizeof(Half4));
-      for (uint32_t j = 0; j < used_; ++j) matrix_.data()[j * stride_ + p] = {};
+      places_.give(p);
     }
-    while (used_ > 0 && !present_[used_ - 1]) --used_;
     stats_.left += places.size();
     stats_.last_update_ms = msSince(start);
     return {};
   }
 
   Result<void> clear() override {
-    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * used_ * sizeof(Half4));
-    std::fill(present_.begin(), present_.end(), uint8_t{0});
+    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * places_.used() * sizeof(Half4));
     std::fill(colour_.begin(), colour_.end(), Vec4{});
-    used_ = 0;
+    places_.clear();
     return {};
   }
 
@@ -81,12 +77,11 @@ class CpuSeed final : public BounceMatrix {
 
   Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override {
     const auto start = Clock::now();
-    FF_CHECK_EQ(source.size(), size_t{places_});
-    FF_CHECK_EQ(irradiance.size(), size_t{places_});
-    for (uint32_t j = 0; j < used_; ++j) weighted_[j] = present_[j] ? source[j] : Vec4{};
+    places_.checkLight(source, irradiance);
+    for (uint32_t j = 0; j < places_.used(); ++j) weighted_[j] = places_.taken(j) ? source[j] : Vec4{};
     multiply(weighted_, col_);
-    std::copy_n(col_.begin(), used_, irradiance.begin());
-    std::fill(irradiance.begin() + used_, irradiance.end(), Vec4{});
+    std::copy_n(col_.begin(), places_.used(), irradiance.begin());
+    std::fill(irradiance.begin() + places_.used(), irradiance.end(), Vec4{});
     stats_.last_relight_ms = msSince(start);
     return {};
   }
@@ -94,32 +89,31 @@ class CpuSeed final : public BounceMatrix {
   Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
                               std::span<Vec4> irradiance) override {
     const auto start = Clock::now();
-    FF_CHECK_EQ(places.size(), difference.size());
-    FF_CHECK_EQ(irradiance.size(), size_t{places_});
+    places_.checkChange(places, difference, irradiance);
     std::fill_n(col_.begin(), usedRows(), Vec4{});
     pool_.run((usedRows() + kRows - 1) / kRows, [&](uint32_t part) {
       const uint32_t begin = part * kRows, end = std::min(begin + kRows, usedRows());
       for (size_t i = 0; i < places.size(); ++i)
-        if (present_[places[i]])
+        if (places_.taken(places[i)])
           kernels_.multiply(matrix_.data() + places[i] * stride_, stride_, begin, end, 1, &difference[i], col_.data());
     });
-    for (uint32_t i = 0; i < used_; ++i) irradiance[i] = irradiance[i] + col_[i];
+    for (uint32_t i = 0; i < places_.used(); ++i) irradiance[i] = irradiance[i] + col_[i];
     stats_.last_relight_ms = msSince(start);
     return {};
   }
 
  private:
-  uint32_t usedRows() const { return (used_ + 7) / 8 * 8; }
+  uint32_t usedRows() const { return (places_.used() + 7) / 8 * 8; }
 
   // out = F_local factor.
   void multiply(const std::vector<Vec4>& factor, std::vector<Vec4>& out) {
     const uint32_t rows = usedRows();
-    const uint32_t chunks = (used_ + kChunk - 1) / kChunk;
+    const uint32_t chunks = (places_.used() + kChunk - 1) / kChunk;
     pool_.run(chunks, [&](uint32_t chunk) {  // whole columns: memory is read in long runs
       const uint32_t first = chunk * kChunk;
       Vec4* sum = partial_.data() + size_t{chunk} * rows_;
       std::fill_n(sum, rows, Vec4{});
-      kernels_.multiply(matrix_.data() + first * stride_, stride_, 0, rows, std::min(kChunk, used_ - first),
+      kernels_.multiply(matrix_.data() + first * stride_, stride_, 0, rows, std::min(kChunk, places_.used() - first),
                         &factor[first], sum);
     });
     pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
@@ -133,15 +127,13 @@ class CpuSeed final : public BounceMatrix {
   // Equations (1) to (5), and the six shaders, in their order.
   void enter(const EnteringBlock& block, uint32_t r) {
     const uint32_t p = block.places[r];
-    FF_CHECK_LT(p, places_);
-    FF_CHECK_EQ(int{present_[p]}, 0);
-    used_ = std::max(used_, p + 1);
+    places_.take(p);
     const uint32_t rows = usedRows();
     std::fill_n(f_col_.begin(), rows, Vec4{});
     std::fill_n(f_row_.begin(), rows, Vec4{});
     const auto grey = [](float f) { return Vec4{f, f, f, 0}; };
     for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e)
-      if (present_[block.columns[e]]) f_row_[block.columns[e]] = grey(block.row_values[e]);
+      if (places_.taken(block.columns[e]) && block.columns[e] != p) f_row_[block.columns[e]] = grey(block.row_values[e]);
     for (uint32_t e = block.column_start[r]; e < block.column_start[r + 1]; ++e)
       f_col_[block.receivers[e]] = grey(block.column_values[e]);
     for (uint32_t i = 0; i < r; ++i)  // the block's own, as far as they are in
@@ -158,8 +150,8 @@ class CpuSeed final : public BounceMatrix {
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_col_[i] + g_col_[i]);
     multiply(weighted_, col_);  // (3)
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_row_[i] + g_row_[i]);
-    pool_.run((used_ + kColumns - 1) / kColumns, [&](uint32_t part) {
-      kernels_.multiplyLeft(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, used_),
+    pool_.run((places_.used() + kColumns - 1) / kColumns, [&](uint32_t part) {
+      kernels_.multiplyLeft(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, places_.used()),
                             weighted_.data(), row_.data());
     });
     for (uint32_t i = 0; i < rows; ++i) {  // (4)
@@ -167,42 +159,36 @@ class CpuSeed final : public BounceMatrix {
       row_[i] = row_[i] + g_row_[i] + f_row_[i];
     }
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = rho * row_[i];
-    pool_.run((used_ + kColumns - 1) / kColumns, [&](uint32_t part) {  // (5)
-      kernels_.addOuter(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, used_),
+    pool_.run((places_.used() + kColumns - 1) / kColumns, [&](uint32_t part) {  // (5)
+      kernels_.addOuter(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, places_.used()),
                         col_.data(), weighted_.data());
     });
-    for (uint32_t i = 0; i < used_; ++i) {  // (6)
+    for (uint32_t i = 0; i < places_.used(); ++i) {  // (6)
       matrix_.data()[p * stride_ + i] = toHalf4(col_[i]);
       matrix_.data()[i * stride_ + p] = toHalf4(row_[i]);
     }
     matrix_.data()[p * stride_ + p] = toHalf4(twice);
-    present_[p] = 1;
     colour_[p] = rho;
   }
 
-  uint32_t places_, rows_;
+  Places places_;
+  uint32_t rows_;
   size_t stride_;
-  uint32_t used_ = 0;  // one past the highest place in use
   WorkerPool pool_;
   SeedKernels kernels_ = seedKernels();
   PageMemory<Half4> matrix_;
   std::vector<Vec4> colour_;  // per place, 0 where free
   std::vector<Vec4> f_col_, f_row_, g_col_, g_row_, weighted_, col_, row_;
   std::vector<Vec4> partial_;  // per chunk of columns: a sum of all rows
-  std::vector<uint8_t> present_;
   BounceStats stats_;
 };
 
 }  // namespace
 
 Result<std::unique_ptr<BounceMatrix>> makeCpuSeed(const MultibounceSettings& settings) {
-  if (settings.places == 0 || settings.places > kMaxSlots)
-    return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxSlots) + " places", ""};
+  if (auto sound = checkPlaces(settings.places); !sound) return sound.error();
   auto matrix = std::make_unique<CpuSeed>(settings);
-  if (!matrix->allocated())
-    return Error{ErrorCode::kUsage, "", "",
-                 "not enough memory for a matrix of " + std::to_string(settings.places) + " places",
-                 "ask for fewer places"};
+  if (!matrix->allocated()) return tooLittleMemory(settings.places, "ask for fewer places");
   return std::unique_ptr<BounceMatrix>(std::move(matrix));
 }
 

@@ -52,6 +52,13 @@ class Places {
   std::vector<uint8_t> taken_;
 };
 
+// Row and column of a place to zero.
+template <class Element>
+void zeroPlace(Element* matrix, size_t column_stride, uint32_t used, uint32_t place) {
+  std::fill_n(matrix + place * column_stride, column_stride, Element{});
+  for (uint32_t column = 0; column < used; ++column) matrix[column * column_stride + place] = Element{};
+}
+
 // Errors (kUsage): a number of places that no matrix has.
 inline Result<void> checkPlaces(uint32_t places) {
   if (places > 0 && places <= kMaxSlots) return {};

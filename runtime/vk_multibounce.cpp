@@ -28,6 +28,7 @@
 #include "bounce_wide_comp.h"
 #include "bounce_wide_half_comp.h"
 #include "runtime/cpu_multibounce.h"
+#include "runtime/places.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -83,7 +84,7 @@ class VulkanMultibounce final : public BounceMatrix {
         pipelines_(std::move(pipelines)),
         stride_(roundUp(settings.places, shaders::kBounceTile)),
         planes_(settings.luminance ? 1 : 3),
-        present_(settings.places, 0),
+        seats_(settings.places),
         colour_(settings.places),
         index_(stride_, shaders::kNotInBlock) {
     name_ = std::string("multibounce vulkan ") + (settings.storage == Storage::kFloat16 ? "fp16" : "fp32") +
@@ -154,7 +155,7 @@ class VulkanMultibounce final : public BounceMatrix {
   Buffer matrix_[3], panels_[3], block_, albedo_, vectors_, status_, up_, down_;
   StorageSets sets_;
   VkDescriptorSet sets_of_planes_[3] = {};
-  std::vector<uint8_t> present_;
+  Places seats_;
   std::vector<Vec4> colour_;  // albedo of each place
   std::vector<uint32_t> index_;  // per place its number in the block
   BounceStats stats_;
@@ -214,7 +215,7 @@ Result<void> VulkanMultibounce::clear() {
     vkCmdFillBuffer(c, status_.handle(), 0, VK_WHOLE_SIZE, 0);
   });
   if (!r) return r.error();
-  std::fill(present_.begin(), present_.end(), uint8_t{0});
+  seats_.clear();
   used_ = frontier_ = pending_k_ = 0;
   return {};
 }
@@ -330,7 +331,7 @@ Result<void> VulkanMultibounce::insert(const EnteringBlock& block) {
   uint32_t used_after = used_;
   for (uint32_t i = 0; i < k; ++i) {
     FF_CHECK_LT(block.places[i], settings_.places);
-    FF_CHECK_EQ(int{present_[block.places[i]]}, 0);
+    FF_CHECK_EQ(seats_.taken(block.places[i]), false);
     used_after = std::max(used_after, roundUp(block.places[i] + 1, shaders::kBounceTile));
     const Vec4& a = block.albedo[i];
     if (!(std::isfinite(a.x + a.y + a.z) && std::min({a.x, a.y, a.z}) >= 0))
@@ -343,7 +344,7 @@ Result<void> VulkanMultibounce::insert(const EnteringBlock& block) {
   const auto rows = static_cast<uint32_t>(block.columns.size()), columns = static_cast<uint32_t>(block.receivers.size());
   if (auto r = update(k, false, columns_at + uint64_t{2} * columns, columns_at, rows, columns, used_after); !r) return r;
   for (uint32_t i = 0; i < k; ++i) {
-    present_[block.places[i]] = 1;
+    seats_.take(block.places[i]);
     colour_[block.places[i]] = albedo[i];
   }
   stats_.entered += k;
@@ -356,13 +357,13 @@ Result<void> VulkanMultibounce::remove(std::span<const uint32_t> places) {
     const auto some = places.subspan(first, std::min<size_t>(kMaxBlock, places.size() - first));
     Vec4 albedo[kMaxBlock];
     for (uint32_t i = 0; i < some.size(); ++i) {
-      FF_CHECK_EQ(int{present_[some[i]]}, 1);
+      FF_CHECK_EQ(seats_.taken(some[i]), true);
       albedo[i] = colour_[some[i]];
     }
     describeBlock(some, std::span<const Vec4>(albedo, some.size()));
     if (auto r = update(static_cast<uint32_t>(some.size()), true, shaders::kBlockIndex + stride_, 0, 0, 0, used_); !r)
       return r;
-    for (const uint32_t place : some) present_[place] = 0;
+    for (const uint32_t place : some) seats_.give(place);
     stats_.left += some.size();
   }
   return {};
@@ -425,13 +426,12 @@ Result<void> VulkanMultibounce::multiply(uint32_t changed_places) {
 }
 
 Result<void> VulkanMultibounce::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(source.size(), size_t{settings_.places});
-  FF_CHECK_EQ(irradiance.size(), size_t{settings_.places});
+  seats_.checkLight(source, irradiance);
   std::fill(irradiance.begin(), irradiance.end(), Vec4{});
   if (used_ == 0) return {};
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (uint32_t i = 0; i < settings_.places; ++i) {
-    if (!present_[i]) continue;
+    if (!seats_.taken(i)) continue;
     upFloats()[i] = source[i].x;
     upFloats()[stride_ + i] = source[i].y;
     upFloats()[2 * stride_ + i] = source[i].z;
@@ -439,20 +439,18 @@ Result<void> VulkanMultibounce::relight(std::span<const Vec4> source, std::span<
   if (auto r = multiply(0); !r) return r;
   const auto* e = reinterpret_cast<const float*>(down_.mapped());
   for (uint32_t i = 0; i < settings_.places; ++i)
-    if (present_[i]) irradiance[i] = {e[i], e[stride_ + i], e[2 * stride_ + i], 0};
+    if (seats_.taken(i)) irradiance[i] = {e[i], e[stride_ + i], e[2 * stride_ + i], 0};
   return {};
 }
 
 Result<void> VulkanMultibounce::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
                                                std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(places.size(), difference.size());
-  FF_CHECK_LE(places.size(), size_t{settings_.places});
-  FF_CHECK_EQ(irradiance.size(), size_t{settings_.places});
+  seats_.checkChange(places, difference, irradiance);
   if (used_ == 0 || places.empty()) return {};
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (size_t i = 0; i < places.size(); ++i) {
     FF_CHECK_LT(places[i], settings_.places);
-    if (!present_[places[i]]) continue;
+    if (!seats_.taken(places[i)]) continue;
     upFloats()[places[i]] = difference[i].x;
     upFloats()[stride_ + places[i]] = difference[i].y;
     upFloats()[2 * stride_ + places[i]] = difference[i].z;
@@ -463,7 +461,7 @@ Result<void> VulkanMultibounce::relightChanged(std::span<const uint32_t> places,
   if (auto r = multiply(few ? static_cast<uint32_t>(places.size()) : 0); !r) return r;
   const auto* e = reinterpret_cast<const float*>(down_.mapped());
   for (uint32_t i = 0; i < settings_.places; ++i) {
-    if (!present_[i]) continue;
+    if (!seats_.taken(i)) continue;
     irradiance[i].x += e[i];
     irradiance[i].y += e[stride_ + i];
     irradiance[i].z += e[2 * stride_ + i];

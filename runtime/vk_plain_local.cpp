@@ -14,6 +14,7 @@
 #include "plain_delete_half_comp.h"
 #include "plain_scatter_comp.h"
 #include "plain_scatter_half_comp.h"
+#include "runtime/places.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -34,7 +35,7 @@ class VulkanPlainLocal final : public BounceMatrix {
         stride_(roundUp(settings.places, shaders::kBounceTile)),
         half_(settings.storage == Storage::kFloat16),
         bounces_(bounces),
-        present_(settings.places, 0),
+        seats_(settings.places),
         name_("plain local vulkan, " + std::to_string(bounces) + " products, " + (half_ ? "fp16: " : "fp32: ") +
               context_->deviceName()) {}
   Result<void> start();
@@ -71,7 +72,7 @@ class VulkanPlainLocal final : public BounceMatrix {
   uint32_t places_, stride_;
   bool half_;
   int bounces_;
-  std::vector<uint8_t> present_;
+  Places seats_;
   std::string name_;
   ComputePipeline scatter_, delete_, relight_;
   Buffer matrix_, unused_, block_, albedo_, vectors_, up_, down_;
@@ -128,7 +129,7 @@ Result<void> VulkanPlainLocal::clear() {
     for (const Buffer* b : {&matrix_, &albedo_, &vectors_}) vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
   });
   if (!r) return r.error();
-  std::fill(present_.begin(), present_.end(), uint8_t{0});
+  seats_.clear();
   used_ = 0;
   return {};
 }
@@ -157,9 +158,7 @@ Result<void> VulkanPlainLocal::insert(const EnteringBlock& block) {
   FF_CHECK_LE(block.receivers.size(), size_t{k} * places_);
   auto* words = reinterpret_cast<uint32_t*>(up_.mapped());
   for (uint32_t i = 0; i < k; ++i) {
-    FF_CHECK_LT(block.places[i], places_);
-    FF_CHECK_EQ(int{present_[block.places[i]]}, 0);
-    present_[block.places[i]] = 1;
+    seats_.take(block.places[i]);
     used_ = std::max(used_, roundUp(block.places[i] + 1, shaders::kBounceTile));
     words[shaders::kBlockPlaces + i] = block.places[i];
     const float channels[3] = {block.albedo[i].x, block.albedo[i].y, block.albedo[i].z};
@@ -194,10 +193,7 @@ Result<void> VulkanPlainLocal::remove(std::span<const uint32_t> places) {
     shaders::BouncePush p = push();
     p.k = static_cast<uint32_t>(some.size());
     if (auto r = recordBlock(delete_, p, groupsOf(p.k * used_, shaders::kBounceGroup), some.size()); !r) return r;
-    for (const uint32_t place : some) {
-      FF_CHECK_EQ(int{present_[place]}, 1);
-      present_[place] = 0;
-    }
+    for (const uint32_t place : some) seats_.give(place);
     stats_.left += some.size();
   }
   return {};
@@ -242,7 +238,7 @@ void VulkanPlainLocal::putLight(uint32_t place, const Vec4& light) {
 void VulkanPlainLocal::addIrradiance(std::span<Vec4> irradiance) const {
   const auto* e = reinterpret_cast<const float*>(down_.mapped());
   for (uint32_t i = 0; i < places_; ++i) {
-    if (!present_[i]) continue;
+    if (!seats_.taken(i)) continue;
     irradiance[i].x += e[i];
     irradiance[i].y += e[stride_ + i];
     irradiance[i].z += e[2 * stride_ + i];
@@ -250,13 +246,12 @@ void VulkanPlainLocal::addIrradiance(std::span<Vec4> irradiance) const {
 }
 
 Result<void> VulkanPlainLocal::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(source.size(), size_t{places_});
-  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  seats_.checkLight(source, irradiance);
   std::fill(irradiance.begin(), irradiance.end(), Vec4{});
   if (used_ == 0) return {};
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (uint32_t i = 0; i < places_; ++i)
-    if (present_[i]) putLight(i, source[i]);
+    if (seats_.taken(i)) putLight(i, source[i]);
   if (auto r = multiply(); !r) return r;
   addIrradiance(irradiance);
   return {};
@@ -264,12 +259,11 @@ Result<void> VulkanPlainLocal::relight(std::span<const Vec4> source, std::span<V
 
 Result<void> VulkanPlainLocal::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
                                               std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(places.size(), difference.size());
-  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  seats_.checkChange(places, difference, irradiance);
   if (used_ == 0) return {};
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (size_t i = 0; i < places.size(); ++i)
-    if (present_[places[i]]) putLight(places[i], difference[i]);
+    if (seats_.taken(places[i)]) putLight(places[i], difference[i]);
   if (auto r = multiply(); !r) return r;
   addIrradiance(irradiance);
   return {};

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "runtime/places.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -30,7 +31,7 @@ constexpr uint64_t kElementBytes = 8;
 class VulkanSeed final : public BounceMatrix {
  public:
   VulkanSeed(std::shared_ptr<VkContext> context, uint32_t places)
-      : context_(std::move(context)), places_(places), present_(places, 0) {}
+      : context_(std::move(context)), places_(places), seats_(places) {}
   Result<void> start();
 
   uint32_t capacity() const override { return places_; }
@@ -58,8 +59,7 @@ class VulkanSeed final : public BounceMatrix {
   Buffer matrix_, vectors_, forms_, up_, down_;
   StorageSets sets_;
   VkDescriptorSet set_ = VK_NULL_HANDLE;
-  uint32_t used_ = 0;
-  std::vector<uint8_t> present_;
+  Places seats_;
   BounceStats stats_;
 };
 
@@ -107,8 +107,7 @@ Result<void> VulkanSeed::clear() {
     vkCmdFillBuffer(c, vectors_.handle(), 0, VK_WHOLE_SIZE, 0);
   });
   if (!r) return r.error();
-  std::fill(present_.begin(), present_.end(), uint8_t{0});
-  used_ = 0;
+  seats_.clear();
   return {};
 }
 
@@ -117,7 +116,7 @@ void VulkanSeed::formsOf(const EnteringBlock& block, uint32_t r, float* row, flo
   std::fill_n(row, places_, 0.0f);
   std::fill_n(column, places_, 0.0f);
   for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e)
-    if (present_[block.columns[e]]) row[block.columns[e]] = block.row_values[e];
+    if (seats_.taken(block.columns[e])) row[block.columns[e]] = block.row_values[e];
   for (uint32_t e = block.column_start[r]; e < block.column_start[r + 1]; ++e)
     column[block.receivers[e]] = block.column_values[e];
   for (uint32_t i = 0; i < r; ++i)
@@ -149,16 +148,12 @@ Result<void> VulkanSeed::insert(const EnteringBlock& block) {
   FF_CHECK_LE(k, kMaxBlock);
   auto* forms = reinterpret_cast<float*>(up_.mapped());
   std::array<shaders::SeedPush, kMaxBlock> patches;
-  uint32_t used = used_;
   for (uint32_t r = 0; r < k; ++r) {
     const uint32_t place = block.places[r];
-    FF_CHECK_LT(place, places_);
-    FF_CHECK_EQ(int{present_[place]}, 0);
-    used = std::max(used, place + 1);
     const uint32_t first = 2 * r * places_;
     formsOf(block, r, forms + first, forms + first + places_);
-    patches[r] = {places_, used, place, first, block.albedo[r].x, block.albedo[r].y, block.albedo[r].z};
-    present_[place] = 1;
+    seats_.take(place);
+    patches[r] = {places_, seats_.used(), place, first, block.albedo[r].x, block.albedo[r].y, block.albedo[r].z};
   }
   auto ms = context_->run([&](VkCommandBuffer c) {
     const VkBufferCopy copy{0, 0, uint64_t{2} * k * places_ * sizeof(float)};
@@ -169,7 +164,6 @@ Result<void> VulkanSeed::insert(const EnteringBlock& block) {
     context_->endTimed(c);
   });
   if (!ms) return ms.error();
-  used_ = used;
   stats_.entered += k;
   stats_.last_update_ms = context_->timedMs();
   return {};
@@ -182,18 +176,14 @@ Result<void> VulkanSeed::remove(std::span<const uint32_t> places) {
     const auto some = places.subspan(first, std::min(kPatchesPerSubmit, places.size() - first));
     auto took = context_->run([&](VkCommandBuffer c) {
       for (const uint32_t place : some) {  // each writes elements that others write, too: the same zeros
-        const shaders::SeedPush push{places_, used_, place, 0, 0, 0, 0};
-        delete_.dispatch(c, set_, &push, groupsOf(used_, shaders::kSeedGroup));
+        const shaders::SeedPush push{places_, seats_.used(), place, 0, 0, 0, 0};
+        delete_.dispatch(c, set_, &push, groupsOf(seats_.used(), shaders::kSeedGroup));
       }
     });
     if (!took) return took.error();
     ms += *took;
   }
-  for (const uint32_t place : places) {
-    FF_CHECK_EQ(int{present_[place]}, 1);
-    present_[place] = 0;
-  }
-  while (used_ > 0 && !present_[used_ - 1]) --used_;
+  for (const uint32_t place : places) seats_.give(place);
   stats_.left += places.size();
   stats_.last_update_ms = ms;
   return {};
@@ -201,15 +191,15 @@ Result<void> VulkanSeed::remove(std::span<const uint32_t> places) {
 
 // From the light in up_ to irradiance in down_.
 Result<void> VulkanSeed::multiply() {
-  const shaders::SeedPush push{places_, used_, 0, 0, 0, 0, 0};
+  const shaders::SeedPush push{places_, seats_.used(), 0, 0, 0, 0, 0};
   const uint32_t rows_a_group = std::max(1u, shaders::kSeedGroup / std::max(1u, context_->subgroupSize()));
-  const uint64_t bytes = used_ * sizeof(Vec4);
+  const uint64_t bytes = seats_.used() * sizeof(Vec4);
   auto ms = context_->run([&](VkCommandBuffer c) {
     const VkBufferCopy up{0, vectorBytes(shaders::kSeedLight), bytes}, down{vectorBytes(shaders::kSeedIrradiance), 0, bytes};
     vkCmdCopyBuffer(c, up_.handle(), vectors_.handle(), 1, &up);
     separate(c);
     context_->beginTimed(c);
-    relight_.dispatch(c, set_, &push, groupsOf(used_, rows_a_group));
+    relight_.dispatch(c, set_, &push, groupsOf(seats_.used(), rows_a_group));
     context_->endTimed(c);
     separate(c);
     vkCmdCopyBuffer(c, vectors_.handle(), down_.handle(), 1, &down);
@@ -220,30 +210,28 @@ Result<void> VulkanSeed::multiply() {
 }
 
 Result<void> VulkanSeed::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(source.size(), size_t{places_});
-  FF_CHECK_EQ(irradiance.size(), size_t{places_});
+  seats_.checkLight(source, irradiance);
   std::fill(irradiance.begin(), irradiance.end(), Vec4{});
-  if (used_ == 0) return {};
+  if (seats_.used() == 0) return {};
   auto* light = reinterpret_cast<Vec4*>(up_.mapped());
-  for (uint32_t j = 0; j < used_; ++j) light[j] = present_[j] ? source[j] : Vec4{};
+  for (uint32_t j = 0; j < seats_.used(); ++j) light[j] = seats_.taken(j) ? source[j] : Vec4{};
   if (auto r = multiply(); !r) return r;
-  std::memcpy(irradiance.data(), down_.mapped(), used_ * sizeof(Vec4));
+  std::memcpy(irradiance.data(), down_.mapped(), seats_.used() * sizeof(Vec4));
   return {};
 }
 
 // The paper multiplies all columns whatever changed.
 Result<void> VulkanSeed::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
                                         std::span<Vec4> irradiance) {
-  FF_CHECK_EQ(places.size(), difference.size());
-  FF_CHECK_EQ(irradiance.size(), size_t{places_});
-  if (used_ == 0) return {};
+  seats_.checkChange(places, difference, irradiance);
+  if (seats_.used() == 0) return {};
   auto* light = reinterpret_cast<Vec4*>(up_.mapped());
-  std::fill_n(light, used_, Vec4{});
+  std::fill_n(light, seats_.used(), Vec4{});
   for (size_t i = 0; i < places.size(); ++i)
-    if (present_[places[i]]) light[places[i]] = difference[i];
+    if (seats_.taken(places[i)]) light[places[i]] = difference[i];
   if (auto r = multiply(); !r) return r;
   const auto* e = reinterpret_cast<const Vec4*>(down_.mapped());
-  for (uint32_t i = 0; i < used_; ++i) {
+  for (uint32_t i = 0; i < seats_.used(); ++i) {
     irradiance[i].x += e[i].x;
     irradiance[i].y += e[i].y;
     irradiance[i].z += e[i].z;
