@@ -3,7 +3,7 @@
 #include <optional>
 #include <string>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 #include "runtime/local_matrix.h"
 
 namespace ff::runtime {

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
 #include "runtime/formfield_handles.h"
 
 namespace {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "runtime/choose_solver.h"
-#include "runtime/dense_solver.h"
+#include "runtime/dense/dense_solver.h"
 #include "runtime/formfield.h"
 #include "runtime/probes.h"
 #include "runtime/residual_probe.h"

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cstring>
 
+#include "runtime/dense/vk_multibounce.h"
+#include "runtime/dense/vk_seed.h"
 #include "runtime/fallback_solver.h"
 #include "runtime/formfield_handles.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
-#include "runtime/vk_multibounce.h"
 #include "runtime/vk_recorder.h"
-#include "runtime/vk_seed.h"
 
 namespace {
 

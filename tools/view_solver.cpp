@@ -3,10 +3,10 @@
 #include <utility>
 
 #include "runtime/choose_solver.h"
-#include "runtime/cpu_multibounce.h"
-#include "runtime/dense_solver.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/dense_solver.h"
+#include "runtime/dense/vk_multibounce.h"
 #include "runtime/vk_gather.h"
-#include "runtime/vk_multibounce.h"
 
 namespace ff::view {
 namespace {

@@ -8,11 +8,11 @@
 #include <Eigen/Sparse>
 #include <algorithm>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/vk_multibounce.h"
+#include "runtime/dense/vk_seed.h"
 #include "runtime/vk_gather.h"
-#include "runtime/vk_multibounce.h"
-#include "runtime/vk_seed.h"
 #include "runtime/worker_pool.h"
 #include "tests/bench/truth.h"
 #include "tools/chart/neighbourhood.h"

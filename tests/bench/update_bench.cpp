@@ -3,9 +3,9 @@
 // the set that is in at the moment. Synthetic form factors (tools/chart/walks.h). Prints JSON lines.
 #include <CLI/CLI.hpp>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
-#include "runtime/dense_solver.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/dense_solver.h"
 #include "tests/bench/tile_apply.h"
 #include "tests/bench/truth.h"
 #include "tests/bench/vulkan_update.h"

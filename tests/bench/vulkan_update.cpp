@@ -4,10 +4,10 @@
 
 #include <algorithm>
 
+#include "runtime/dense/vk_multibounce.h"
+#include "runtime/dense/vk_seed.h"
 #include "runtime/matrix_assembler.h"
-#include "runtime/vk_multibounce.h"
 #include "runtime/vk_recorder.h"
-#include "runtime/vk_seed.h"
 #include "tests/bench/truth.h"
 #include "tools/chart/walks.h"
 

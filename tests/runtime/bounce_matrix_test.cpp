@@ -1,6 +1,6 @@
-#include "runtime/bounce_kernels.h"
-#include "runtime/cpu_multibounce.h"
-#include "runtime/small_inverse.h"
+#include "runtime/dense/bounce_kernels.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/small_inverse.h"
 #include "tests/runtime/bounce_matrix_cases.h"
 #include "tests/stream/counted_memory.h"
 

@@ -1,9 +1,9 @@
-#include "runtime/dense_solver.h"
+#include "runtime/dense/dense_solver.h"
 
 #include <cmath>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
 #include "runtime/matrix_assembler.h"
 #include "tests/runtime/hand_made.h"
 #include "tests/runtime/test_world.h"

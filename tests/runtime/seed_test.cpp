@@ -1,6 +1,6 @@
-#include "runtime/bounce_kernels.h"
-#include "runtime/cpu_seed.h"
-#include "runtime/seed_kernels.h"
+#include "runtime/dense/bounce_kernels.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/seed_kernels.h"
 #include "tests/runtime/bounce_matrix_driver.h"
 
 namespace ff::runtime {

@@ -9,10 +9,10 @@
 #include <string>
 #include <vector>
 
-#include "runtime/cpu_multibounce.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/vk_multibounce.h"
+#include "runtime/dense/vk_seed.h"
 #include "runtime/vk_context.h"
-#include "runtime/vk_multibounce.h"
-#include "runtime/vk_seed.h"
 #include "tests/runtime/validated_vulkan.h"
 #include "tools/chart/walks.h"
 

@@ -6,8 +6,8 @@
 #include <numeric>
 #include <utility>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
 #include "runtime/solver.h"
 #include "runtime/worker_pool.h"
 #include "tools/chart/read_bandwidth.h"

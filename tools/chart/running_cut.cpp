@@ -4,9 +4,9 @@
 #include <chrono>
 #include <cmath>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
-#include "runtime/dense_solver.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/dense_solver.h"
 #include "runtime/updater.h"
 
 namespace ff::chart {

@@ -5,9 +5,9 @@
 #include <memory>
 #include <utility>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
-#include "runtime/dense_solver.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/dense_solver.h"
 #include "runtime/full_solve.h"
 #include "stream/streamer.h"
 #include "tools/chart/albedo_axis.h"

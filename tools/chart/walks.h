@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 
 namespace ff::runtime {
 

@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "runtime/bounce_kernels.h"
-#include "runtime/cpu_seed.h"
-#include "runtime/page_memory.h"
-#include "runtime/places.h"
+#include "runtime/dense/bounce_kernels.h"
+#include "runtime/dense/cpu_seed.h"
+#include "runtime/dense/page_memory.h"
+#include "runtime/dense/places.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {

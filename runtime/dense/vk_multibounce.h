@@ -9,7 +9,7 @@
 #pragma once
 #include <memory>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 #include "runtime/vk_context.h"
 
 namespace ff::runtime {

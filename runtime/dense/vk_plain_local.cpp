@@ -14,11 +14,11 @@
 #include "plain_delete_half_comp.h"
 #include "plain_scatter_comp.h"
 #include "plain_scatter_half_comp.h"
-#include "runtime/places.h"
+#include "runtime/dense/places.h"
+#include "runtime/dense/vk_seed.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
-#include "runtime/vk_seed.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {
@@ -263,7 +263,7 @@ Result<void> VulkanPlainLocal::relightChanged(std::span<const uint32_t> places, 
   if (used_ == 0) return {};
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (size_t i = 0; i < places.size(); ++i)
-    if (seats_.taken(places[i)]) putLight(places[i], difference[i]);
+    if (seats_.taken(places[i])) putLight(places[i], difference[i]);
   if (auto r = multiply(); !r) return r;
   addIrradiance(irradiance);
   return {};

@@ -1,4 +1,4 @@
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_seed.h"
 
 #include <algorithm>
 #include <chrono>
@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
-#include "runtime/page_memory.h"
-#include "runtime/places.h"
-#include "runtime/seed_kernels.h"
+#include "runtime/dense/page_memory.h"
+#include "runtime/dense/places.h"
+#include "runtime/dense/seed_kernels.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {
@@ -94,7 +94,7 @@ class CpuSeed final : public BounceMatrix {
     pool_.run((usedRows() + kRows - 1) / kRows, [&](uint32_t part) {
       const uint32_t begin = part * kRows, end = std::min(begin + kRows, usedRows());
       for (size_t i = 0; i < places.size(); ++i)
-        if (places_.taken(places[i)])
+        if (places_.taken(places[i]))
           kernels_.multiply(matrix_.data() + places[i] * stride_, stride_, begin, end, 1, &difference[i], col_.data());
     });
     for (uint32_t i = 0; i < places_.used(); ++i) irradiance[i] = irradiance[i] + col_[i];

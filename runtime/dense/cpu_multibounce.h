@@ -3,7 +3,7 @@
 #pragma once
 #include <memory>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 
 namespace ff::runtime {
 

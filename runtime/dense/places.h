@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "formats/result.h"
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 
 namespace ff::runtime {
 

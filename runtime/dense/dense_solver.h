@@ -11,7 +11,7 @@
 #include <memory>
 #include <string>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 #include "runtime/solver.h"
 
 namespace ff::runtime {

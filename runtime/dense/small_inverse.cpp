@@ -1,4 +1,4 @@
-#include "runtime/small_inverse.h"
+#include "runtime/dense/small_inverse.h"
 
 #include <algorithm>
 #include <cmath>

@@ -2,8 +2,8 @@
 #pragma once
 #include <memory>
 
-#include "runtime/bounce_matrix.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/bounce_matrix.h"
+#include "runtime/dense/cpu_seed.h"
 #include "runtime/vk_context.h"
 
 namespace ff::runtime {

@@ -1,4 +1,4 @@
-#include "runtime/bounce_kernels.h"
+#include "runtime/dense/bounce_kernels.h"
 
 namespace ff::runtime {
 namespace {

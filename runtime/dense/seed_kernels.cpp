@@ -1,6 +1,6 @@
-#include "runtime/seed_kernels.h"
+#include "runtime/dense/seed_kernels.h"
 
-#include "runtime/bounce_kernels.h"
+#include "runtime/dense/bounce_kernels.h"
 
 #if defined(__x86_64__)
 #include <immintrin.h>

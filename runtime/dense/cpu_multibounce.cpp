@@ -1,4 +1,4 @@
-#include "runtime/cpu_multibounce.h"
+#include "runtime/dense/cpu_multibounce.h"
 
 #include <algorithm>
 #include <chrono>
@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "runtime/bounce_planes.h"
-#include "runtime/places.h"
+#include "runtime/dense/bounce_planes.h"
+#include "runtime/dense/places.h"
 
 namespace ff::runtime {
 namespace {

@@ -1,4 +1,4 @@
-#include "runtime/vk_seed.h"
+#include "runtime/dense/vk_seed.h"
 
 #include <algorithm>
 #include <array>
@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/places.h"
+#include "runtime/dense/places.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -228,7 +228,7 @@ Result<void> VulkanSeed::relightChanged(std::span<const uint32_t> places, std::s
   auto* light = reinterpret_cast<Vec4*>(up_.mapped());
   std::fill_n(light, seats_.used(), Vec4{});
   for (size_t i = 0; i < places.size(); ++i)
-    if (seats_.taken(places[i)]) light[places[i]] = difference[i];
+    if (seats_.taken(places[i])) light[places[i]] = difference[i];
   if (auto r = multiply(); !r) return r;
   const auto* e = reinterpret_cast<const Vec4*>(down_.mapped());
   for (uint32_t i = 0; i < seats_.used(); ++i) {

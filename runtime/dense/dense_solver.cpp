@@ -1,4 +1,4 @@
-#include "runtime/dense_solver.h"
+#include "runtime/dense/dense_solver.h"
 
 #include <algorithm>
 #include <chrono>
@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/entering_blocks.h"
+#include "runtime/dense/entering_blocks.h"
 #include "runtime/gather_kernels.h"
 #include "runtime/worker_pool.h"
 

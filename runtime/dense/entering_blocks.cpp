@@ -1,4 +1,4 @@
-#include "runtime/entering_blocks.h"
+#include "runtime/dense/entering_blocks.h"
 
 namespace ff::runtime {
 namespace {

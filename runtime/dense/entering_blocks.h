@@ -9,7 +9,7 @@
 #include <span>
 #include <vector>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 #include "runtime/local_matrix.h"
 
 namespace ff::runtime {

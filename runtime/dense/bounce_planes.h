@@ -18,9 +18,9 @@
 #include <span>
 #include <vector>
 
-#include "runtime/bounce_kernels.h"
-#include "runtime/page_memory.h"
-#include "runtime/small_inverse.h"
+#include "runtime/dense/bounce_kernels.h"
+#include "runtime/dense/page_memory.h"
+#include "runtime/dense/small_inverse.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {

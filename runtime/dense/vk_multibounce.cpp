@@ -1,4 +1,4 @@
-#include "runtime/vk_multibounce.h"
+#include "runtime/dense/vk_multibounce.h"
 
 #include <algorithm>
 #include <bit>
@@ -27,8 +27,8 @@
 #include "bounce_tall_half_comp.h"
 #include "bounce_wide_comp.h"
 #include "bounce_wide_half_comp.h"
-#include "runtime/cpu_multibounce.h"
-#include "runtime/places.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/places.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -450,7 +450,7 @@ Result<void> VulkanMultibounce::relightChanged(std::span<const uint32_t> places,
   std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
   for (size_t i = 0; i < places.size(); ++i) {
     FF_CHECK_LT(places[i], settings_.places);
-    if (!seats_.taken(places[i)]) continue;
+    if (!seats_.taken(places[i])) continue;
     upFloats()[places[i]] = difference[i].x;
     upFloats()[stride_ + places[i]] = difference[i].y;
     upFloats()[2 * stride_ + places[i]] = difference[i].z;

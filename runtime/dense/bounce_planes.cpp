@@ -1,4 +1,4 @@
-#include "runtime/bounce_planes.h"
+#include "runtime/dense/bounce_planes.h"
 
 #include <algorithm>
 #include <cmath>

@@ -3,7 +3,7 @@
 #include <array>
 #include <cstdint>
 
-#include "runtime/bounce_matrix.h"
+#include "runtime/dense/bounce_matrix.h"
 
 namespace ff::runtime {
 

@@ -5,8 +5,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "runtime/bounce_matrix.h"
-#include "runtime/half.h"
+#include "runtime/dense/bounce_matrix.h"
+#include "runtime/dense/half.h"
 
 namespace ff::runtime {
 

@@ -1,4 +1,4 @@
-#include "runtime/bounce_kernels.h"
+#include "runtime/dense/bounce_kernels.h"
 
 #if defined(__x86_64__)
 #include <immintrin.h>

@@ -1,6 +1,6 @@
 // The passes of the seed's method over its RGBA16F matrix, column-major, four halves an element. Portable and AVX2.
 #pragma once
-#include "runtime/half.h"
+#include "runtime/dense/half.h"
 #include "runtime/local_matrix.h"
 
 namespace ff::runtime {
