@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "tools/chart/answer.h"
+#include "tools/chart/block_size.h"
 #include "tools/chart/page.h"
 #include "tools/chart/paper.h"
 #include "tools/chart/setting_charts.h"
@@ -119,6 +120,10 @@ Result<void> addLag(chart::Report& r, const Options& o, chart::Sweep& sweep) {
   if (!temporal) return temporal.error();
   r.charts.insert(r.charts.end(), temporal->charts.begin(), temporal->charts.end());
   r.tables.push_back(std::move(temporal->table));
+  say("blocks of the dense matrix");
+  auto blocks = chart::blockSizeChart(o.sweep.quick ? 256 : 1024, o.sweep.quick ? 5 : 9);
+  if (!blocks) return blocks.error();
+  r.charts.push_back(std::move(*blocks));
   return {};
 }
 
