@@ -9,6 +9,7 @@
 
 #include "tools/chart/answer.h"
 #include "tools/chart/block_size.h"
+#include "tools/chart/heat_picture.h"
 #include "tools/chart/page.h"
 #include "tools/chart/paper.h"
 #include "tools/chart/setting_charts.h"
@@ -145,6 +146,12 @@ Result<void> chartWorld(Options& o) {
   if (auto answered = answer(report, o, *sweep); !answered) return answered;
   report.charts = chart::settingCharts(report);
   if (auto followed = addLag(report, o, *sweep); !followed) return followed;
+  say("pictures of the worst places");
+  auto pictures = chart::worstPlaces(*sweep->world, sweep->places, sweep->lights, sweep->standard,
+                                     {.paths = o.sweep.quick ? 1024u : 4096u, .seed = o.sweep.seed}, o.out,
+                                     {.paths = o.sweep.quick ? 200000u : 1000000u, .seed = o.sweep.seed});
+  if (!pictures) return pictures.error();
+  report.pictures = std::move(*pictures);
   report.facts.emplace_back("command", o.command);
   return write(report, o, "accuracy");
 }

@@ -5,8 +5,8 @@
 #include <memory>
 #include <numeric>
 
-#include "runtime/cpu_multibounce.h"
-#include "runtime/cpu_seed.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
 #include "tools/chart/comparison.h"
 #include "tools/chart/walks.h"
 
