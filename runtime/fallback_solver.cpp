@@ -33,6 +33,9 @@ class Fallback final : public FallbackSolver {
   Result<void> iterate(int k) override {
     return attempt([&](Solver& s) { return s.iterate(k); });
   }
+  Result<void> approach(int k) override {
+    return attempt([&](Solver& s) { return s.approach(k); });
+  }
   Result<void> radiosity(std::span<Vec4> out) override {
     auto r = attempt([&](Solver& s) { return s.radiosity(out); });
     if (r) last_seen_.assign(out.begin(), out.end());

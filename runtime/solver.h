@@ -23,6 +23,9 @@ class Solver {
   // k steps, after which refined slots are the mean of their children. What a step is, is the solver's: `gather` makes
   // one Jacobi iteration B <- M + albedo * F B, a dense one takes in all bounces at once.
   virtual Result<void> iterate(int k) = 0;
+  // k steps towards the solution under a light that stays, by the quickest way that the solver knows; what lies between
+  // is no picture. By default iterate(k).
+  virtual Result<void> approach(int k) { return iterate(k); }
   // Copies the radiosity of every slot, W/m2.
   virtual Result<void> radiosity(std::span<Vec4> out) = 0;
   // Time of the last iterate(), ms, on the clock of the device that ran it.

@@ -146,11 +146,11 @@ Result<void> Updater::relightAll() {
 
 Result<int> Updater::converge(float tolerance, int max_iterations) {
   FF_CHECK_EQ(started_, true);
-  constexpr int kBatch = 8;  // iterations between two looks at the change
+  constexpr int kFewest = 8, kMost = 64;  // iterations between two looks at the change: long runs are the quicker ones
   before_.resize(matrix().slots());
   for (int done = 0; done < max_iterations;) {
-    const int batch = std::min(kBatch, max_iterations - done);
-    if (auto r = solver_.iterate(batch - 1); !r) return r.error();
+    const int batch = std::min({std::max(kFewest, done), kMost, max_iterations - done});
+    if (auto r = solver_.approach(batch - 1); !r) return r.error();
     if (auto r = solver_.radiosity(before_); !r) return r.error();
     if (auto r = solver_.iterate(1); !r) return r.error();
     if (auto r = solver_.radiosity(radiosity_); !r) return r.error();

@@ -112,7 +112,7 @@ int main(int argc, char** argv) {
   app.add_option("--max-patches", o.max_patches,
                  "of the finest level, active at once; default: as recommended beside the world, else all");
   app.add_option("--iterations", o.iterations, "of the solver per frame")->check(CLI::Range(1, 1000))->capture_default_str();
-  app.add_option("--settle", o.settle, "more of them, at most, before a picture: white closed rooms take thousands")
+  app.add_option("--settle", o.settle, "more of them, at most, before a picture: white closed rooms take some hundred")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   app.add_option("--exposure", texts.exposure, "auto, or stops on radiosity in W/m2")->capture_default_str();

@@ -24,7 +24,7 @@ struct RunOptions {
   std::optional<runtime::Sky> sky;
   bool lamps_only = false;               // neither sun nor sky
   int iterations = 8;                    // a frame
-  int settle = 64;                       // at most, more of them before a picture; white closed rooms take thousands
+  int settle = 64;                       // at most, more of them before a picture; white closed rooms take some hundred
   uint32_t samples = 2;                  // per pixel and axis
   bool compare = true;                   // full-world solve and difference pictures
 };

@@ -244,7 +244,8 @@ void run(bool quick, uint32_t most_swaps, const std::string& only) {
   for (const auto& [kind, name] : kinds) {
     walks.push_back({name, {.patches = 1024}, kind, 256, 32, swaps});
     walks.push_back({name, {.patches = 4096}, kind, 1024, 64, quick ? 1024 : swaps});
-    const bool longest = !quick && kind == WalkKind::kOscillation;  // nodes that stay gather every update's rounding
+    // Nodes that stay gather every update's rounding. The other walks take minutes to half an hour: when asked for.
+    const bool longest = kind == WalkKind::kOscillation || !only.empty();
     if (!quick) walks.push_back({name, {.patches = 16384}, kind, 4096, 64, longest ? swaps : std::min(swaps, 8192u)});
   }
   walks.push_back({"tiny enclosures, albedo 0.98",

@@ -181,6 +181,78 @@ TEST(CpuGather, AClosedBoxOfUniformLightHasTheFurnaceRadiosityOnEveryCut) {
   }
 }
 
+// Jacobi needs ln(1e4) / (1 - rho) steps to shrink the error 1e4-fold, 460 at 0.98; the semi-iteration about ln(2e4) /
+// sqrt(2 (1 - rho)), 50, and as many again to learn how slowly light decays and to start anew with each call.
+TEST(CpuGather, ApproachSettlesAClosedBoxInAFourthOfTheSteps) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = 0.98f, .seed = 2});
+  const auto matrix = build(test, test.randomCut(0.5, 3));
+  const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
+  const std::vector<Vec4> settled = solve(*makeCpuGather(2), matrix, source, 3000);
+  const auto error = [&](std::span<const Vec4> b) {
+    double difference = 0, norm = 0;
+    for (const uint32_t s : matrix->leaves) {
+      const auto exact = static_cast<double>(settled[s].y);
+      difference += (static_cast<double>(b[s].y) - exact) * (static_cast<double>(b[s].y) - exact);
+      norm += exact * exact;
+    }
+    return std::sqrt(difference / norm);
+  };
+  const auto solver = makeCpuGather(2);
+  std::vector<Vec4> b = solve(*solver, matrix, source, 0);
+  double before = 1;
+  for (int calls = 0; calls < 4; ++calls) {
+    ASSERT_TRUE(solver->approach(28));
+    ASSERT_TRUE(solver->radiosity(b));
+    ASSERT_LT(error(b), before) << "call " << calls;
+    before = error(b);
+    for (const uint32_t s : matrix->leaves) ASSERT_GE(b[s].y, source[s].y);
+  }
+  EXPECT_LT(before, 1e-4);
+  EXPECT_GT(error(solve(*makeCpuGather(2), matrix, source, 4 * 28)), 1e-2) << "where as many of Jacobi's steps leave it";
+}
+
+// 1000 times the light: Jacobi would need 10,000 steps.
+TEST(CpuGather, ApproachSettlesAFurnaceThatKeepsAllButAThousandth) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = 0.999f, .seed = 2});
+  const auto matrix = build(test, test.randomCut(0.5, 3));
+  const auto solver = makeCpuGather(2);
+  std::vector<Vec4> b = solve(*solver, matrix, std::vector<Vec4>(matrix->slots(), Vec4{1, 2, 3, 0}), 0);
+  for (int calls = 0; calls < 8; ++calls) {
+    ASSERT_TRUE(solver->approach(63));
+    ASSERT_TRUE(solver->radiosity(b));
+    for (const uint32_t s : matrix->leaves) {
+      // Rounding of a step, 150 additions, is multiplied like light (kRoundingTolerance), and so is that of the albedo.
+      const double full = 1 / (1 - static_cast<double>(matrix->albedo[s].x));
+      ASSERT_LE(static_cast<double>(b[s].x), full * 1.05) << "call " << calls << ": never more than the furnace allows";
+    }
+  }
+  for (const uint32_t s : matrix->leaves) {
+    const double full = 1 / (1 - static_cast<double>(matrix->albedo[s].x));
+    ASSERT_NEAR(static_cast<double>(b[s].x), full, 0.05 * full);
+    ASSERT_NEAR(static_cast<double>(b[s].z), 3 * full, 0.15 * full);
+  }
+}
+
+// Cuts of several levels, rows sampled apart: no reciprocity but on average. Light that decays fast is left to Jacobi.
+TEST(CpuGather, ApproachEndsWhereIterationsEndOnAnyCutAndAlbedo) {
+  for (const float rho : {0.2f, 0.7f, 0.95f})
+    for (const double chance : {0.0, 0.4, 1.0}) {
+      const TestWorld test({.side = 16, .tile_nodes = 12, .albedo = rho, .seed = 5});
+      const auto matrix = build(test, test.randomCut(chance, 6));
+      const std::vector<Vec4> source = randomSource(matrix->slots(), 7);
+      const std::vector<Vec4> settled = solve(*makeCpuGather(2), matrix, source, 600);
+      const auto solver = makeCpuGather(2);
+      std::vector<Vec4> b = solve(*solver, matrix, source, 1);
+      for (int calls = 0; calls < 20; ++calls) ASSERT_TRUE(solver->approach(15));
+      ASSERT_TRUE(solver->iterate(1));
+      ASSERT_TRUE(solver->radiosity(b));
+      for (const uint32_t s : matrix->leaves) {
+        ASSERT_NEAR(b[s].x, settled[s].x, 2e-5f * settled[s].x) << "albedo " << rho << ", chance " << chance;
+        ASSERT_NEAR(b[s].y, settled[s].y, 2e-5f * settled[s].y) << "albedo " << rho << ", chance " << chance;
+      }
+    }
+}
+
 TEST(CpuGather, AWarmStartFromTheSolutionStaysThere) {
   const TestWorld test({.side = 16, .tile_nodes = 12});
   const auto matrix = build(test, test.randomCut(0.6, 3));
