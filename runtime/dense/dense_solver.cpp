@@ -363,7 +363,7 @@ class Dense final : public DenseSolver {
     stats_.probe = probe_norm_ > 0 ? std::sqrt(probe_left_ / probe_norm_) : 0;
     probe_left_ = probe_norm_ = 0;
     if (std::isfinite(stats_.probe) && (fresh_ < 0 || stats_.probe < fresh_)) fresh_ = stats_.probe;
-    const double limit = std::max(limit_, kOfFresh * fresh_);
+    const double limit = std::max(limit_, std::min(kOfFresh * fresh_, kMostForFresh));
     if (stats_.probe <= limit) return {};
     return startRebuild("residual probe " + std::to_string(stats_.probe) + " above its limit of " +
                         std::to_string(limit));
