@@ -66,7 +66,7 @@ class Dense final : public DenseSolver {
     tiles_before_ = matrix.tiles;
 
     const bool anew = first || change.renumbered;
-    if (first) fresh_ = -1;
+    if (first) fresh_ = -1, untouched_ = true;
     for (auto* v : {&irradiance_, &radiosity_, &source_}) {
       if (anew) v->clear();
       v->resize(slots);
@@ -87,6 +87,7 @@ class Dense final : public DenseSolver {
     before_ = -1;
     blocks_.takeUp(matrix);
     if (!leaving_.empty()) {
+      untouched_ = false;
       stats_.left += leaving_.size();
       if (auto removed = bounces_->remove(leaving_); !removed) {
         if (removed.error().cause != ErrorCause::kOther) return removed;
@@ -237,6 +238,7 @@ class Dense final : public DenseSolver {
     probe_frame_ = 0;
     probe_left_ = probe_norm_ = 0;
     fresh_ = before_ = -1;
+    untouched_ = true;
     return {};
   }
 
@@ -362,8 +364,8 @@ class Dense final : public DenseSolver {
     probe_frame_ = 0;
     stats_.probe = probe_norm_ > 0 ? std::sqrt(probe_left_ / probe_norm_) : 0;
     probe_left_ = probe_norm_ = 0;
-    if (std::isfinite(stats_.probe) && (fresh_ < 0 || stats_.probe < fresh_)) fresh_ = stats_.probe;
-    const double limit = std::max(limit_, std::min(kOfFresh * fresh_, kMostForFresh));
+    if (untouched_ && std::isfinite(stats_.probe) && (fresh_ < 0 || stats_.probe < fresh_)) fresh_ = stats_.probe;
+    const double limit = std::max(limit_, kOfFresh * fresh_);
     if (stats_.probe <= limit) return {};
     return startRebuild("residual probe " + std::to_string(stats_.probe) + " above its limit of " +
                         std::to_string(limit));
@@ -387,7 +389,8 @@ class Dense final : public DenseSolver {
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
   uint32_t probe_frame_ = 0;
   double probe_left_ = 0, probe_norm_ = 0;
-  double fresh_ = -1;  // the least of the rounds since the matrix was built; -1: none yet
+  bool untouched_ = true;  // no node has left since the matrix was built
+  double fresh_ = -1;  // the least of the rounds while it was untouched; -1: none yet
   uint64_t random_ = 1;
   double last_ms_ = 0;
   DenseStats stats_;

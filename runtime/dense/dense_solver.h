@@ -34,10 +34,9 @@ struct DenseSettings {
 inline constexpr uint32_t kRebuildBlocks = 4;
 // Rounding leaves a residual also in a matrix just built, the more the more light a room keeps (closed boxes of 256
 // places, fp32: 1e-5 at albedo 0.98, 2e-4 at 0.999): to build anew what is no worse would not help.
+// Only rounds of the probe before any node has left count as fresh: where swaps spoil a matrix within its first round, its
+// limit is not raised.
 inline constexpr double kOfFresh = 4;
-// But a round of the probe takes sixteen frames: where swaps spoil the matrix within it, what passes for fresh is not. So the
-// limit is raised to this at most; fp16 and luminance, whose limits are above it, are not raised at all.
-inline constexpr double kMostForFresh = 1e-3;
 
 // What a matrix of this name() can hold: 1e-4, fp16 2e-2, luminance 5e-2. The residual is relative to light that has
 // bounced once; where a room multiplies light it multiplies errors as well, so that relative to E they come out at 0.03
