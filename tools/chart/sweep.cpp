@@ -237,14 +237,14 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   Sweep sweep;
   auto scene = bake::importGltf(options.scene_path);
   if (!scene) return scene.error();
-  sweep.scene = without(std::move(*scene), options.leave_out);
+  sweep.scene = std::make_unique<const bake::Scene>(without(std::move(*scene), options.leave_out));
   Baked standard{options.world_path, kNotMeasured};
   if (standard.path.empty()) {
-    auto baked = bakeAt(options, sweep.scene, {.cell_m = options.cell_m}, say);
+    auto baked = bakeAt(options, *sweep.scene, {.cell_m = options.cell_m}, say);
     if (!baked) return baked.error();
     standard = *baked;
   }
-  auto opened = MeasuredWorld::open(sweep.scene, standard.path);
+  auto opened = MeasuredWorld::open(*sweep.scene, standard.path);
   if (!opened) return opened.error();
   sweep.world_path = standard.path;
   sweep.world = std::make_unique<MeasuredWorld>(std::move(*opened));
@@ -272,9 +272,9 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
     std::string path = standard.path;
     double seconds = standard.seconds;
     if (knobs != sweep.standard.bake) {
-      const auto baked = bakeAt(options, sweep.scene, knobs, say);
+      const auto baked = bakeAt(options, *sweep.scene, knobs, say);
       if (!baked) return baked.error();
-      auto measured = MeasuredWorld::open(sweep.scene, baked->path);
+      auto measured = MeasuredWorld::open(*sweep.scene, baked->path);
       if (!measured) return measured.error();
       other = std::make_unique<MeasuredWorld>(std::move(*measured));
       world = other.get();

@@ -1,6 +1,7 @@
 // The sweep: bakes and runs a scene at many settings, one knob at a time, and compares each with the truth.
 #pragma once
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -31,7 +32,7 @@ using Say = std::function<void(const std::string&)>;
 
 // Everything the sweep keeps for the charts that come after it.
 struct Sweep {
-  bake::Scene scene;
+  std::unique_ptr<const bake::Scene> scene;  // the tracer keeps its address
   std::vector<Place> places;
   std::vector<Lighting> lights;
   Knobs standard;
