@@ -164,7 +164,7 @@ class SettingRun {
     const Place& first = sweep_.places.front();
     const Vec3 ahead = length(first.velocity) > 0 ? normalized(first.velocity) : Vec3{1, 0, 0};
     if (auto moved = cut->moveTo(first.observer); !moved) return refused(std::move(s), moved.error());
-    if (auto timed = cut->timeWalk(first.observer, ahead, 6, cost); !timed) return timed.error();
+    if (auto timed = cut->timeWalk(first.observer, ahead, 24, cost); !timed) return timed.error();
     s.relight_ms = medianOf(cost.relight);  // ms when all are done and the yardstick is known
     if (cost.tiles > 0) s.update_ms_per_tile = {cost.update_ms / cost.tiles, kNotMeasured};
     s.memory_bytes = medianOf(memory).value;
