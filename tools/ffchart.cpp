@@ -85,7 +85,7 @@ Result<void> answer(chart::Report& r, const Options& o, const chart::Sweep& swee
   const chart::Answer best = chart::bestWithin(r, o.budget_ms, o.budget_mib);
   fmt::print("cheapest with error <= {:.3g} %: {}\n", o.target_percent, cheapest.line);
   fmt::print("best within {:.3g} ms and {:.4g} MiB: {}\n", o.budget_ms, o.budget_mib, best.line);
-  r.lead = fmt::format("Cheapest with an error of at most {:.3g} % in every light: {} Best within {:.3g} ms and {:.4g} MiB: {} The default:",
+  r.lead = fmt::format("Cheapest with an error of at most {:.3g} % in every light: {}. Best within {:.3g} ms and {:.4g} MiB: {}. The default:",
                        o.target_percent, cheapest.line, o.budget_ms, o.budget_mib, best.line);
   for (const chart::Accuracy& a : r.settings.front().accuracy)
     r.lead += fmt::format(" {} {} (median {:.2f} %);", a.light, percent(a.rel_l2), 100 * a.median.value);
