@@ -44,8 +44,7 @@ Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* 
     Comparison total, exact;  // the default; with reference rows and a full solve
     std::vector<double> rows, more_steps, sun, truth;
     for (size_t at = 0; at < sweep.places.size(); ++at) {
-      std::vector<uint32_t> patches;
-      for (const uint32_t number : world.ofPlace(at)) patches.push_back(world.lookedAt()[number]);
+      const std::vector<uint32_t> patches = world.patchesOf(at);
       if (auto moved = cut->moveTo(sweep.places[at].observer); !moved) return moved;
       if (auto set = cut->setLight(**lit); !set) return set;
       if (auto settled = cut->settle(); !settled) return settled.error();

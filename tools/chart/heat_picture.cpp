@@ -177,8 +177,7 @@ class PlaceErrors {
     const auto lit = world_.lit(lights_[l], knobs_.shadow_rays, &chosen);
     if (!lit) return lit.error();
     const std::vector<uint32_t>& numbers = world_.ofPlace(at);
-    std::vector<uint32_t> patches;
-    for (const uint32_t n : numbers) patches.push_back(world_.lookedAt()[n]);
+    const std::vector<uint32_t> patches = world_.patchesOf(at);
     const auto got = settledAt(**lit, patches);
     if (!got) return got.error();
     Comparison comparison;

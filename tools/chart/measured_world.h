@@ -42,6 +42,12 @@ class MeasuredWorld {
   const std::vector<uint32_t>& lookedAt() const { return looked_at_; }
   // Numbers in lookedAt() of the patches of a place.
   const std::vector<uint32_t>& ofPlace(size_t place) const { return of_place_[place]; }
+  // The same as level-0 node numbers.
+  std::vector<uint32_t> patchesOf(size_t place) const {
+    std::vector<uint32_t> patches;
+    for (const uint32_t number : of_place_[place]) patches.push_back(looked_at_[number]);
+    return patches;
+  }
   size_t placesLookedAt() const { return of_place_.size(); }
 
   // Direct light alone: `full` and `traced` stay empty. Nothing is kept.

@@ -179,7 +179,9 @@ class SettingRun {
   }
   const std::vector<double>& tracerNoise() const { return tracer_noise_; }  // of the last run, by light
 
-
+  static TraceSettings traceSettings(const SweepOptions& options) {
+    return {.paths = options.quick ? 1024u : 4096u, .seed = options.seed};
+  }
 
  private:
   static constexpr int kSamples = 15;
@@ -198,20 +200,12 @@ class SettingRun {
     if (!truth) return truth.error();
     if (auto set = cut.setLight(**lit); !set) return set;
     if (auto settled = cut.settle(); !settled) return settled.error();
-    std::vector<uint32_t> patches;
-    for (const uint32_t number : world_.ofPlace(at)) patches.push_back(world_.lookedAt()[number]);
-    const auto got = cut.reflected(**lit, patches);
+    const auto got = cut.reflected(**lit, world_.patchesOf(at));
     if (!got) return got.error();
     comparison.addPlace(world_, **truth, world_.ofPlace(at), *got);
     return {};
   }
 
- public:
-  static TraceSettings traceSettings(const SweepOptions& options) {
-    return {.paths = options.quick ? 1024u : 4096u, .seed = options.seed};
-  }
-
- private:
   const SweepOptions& options_;
   Sweep& sweep_;
   MeasuredWorld& world_;
