@@ -9,7 +9,9 @@
 
 #include "tools/chart/answer.h"
 #include "tools/chart/block_size.h"
+#include "tools/chart/error_sources.h"
 #include "tools/chart/heat_picture.h"
+#include "tools/chart/json_report.h"
 #include "tools/chart/page.h"
 #include "tools/chart/paper.h"
 #include "tools/chart/setting_charts.h"
@@ -27,10 +29,13 @@ struct Options {
   chart::SweepOptions sweep;
   std::string camera, out, command, paper_scene;
   double target_percent = 3, budget_ms = 1, budget_mib = 256;
-  bool stability = false, paper = false, keep_settings = false;
+  bool stability = false, paper = false, keep_settings = false, json = false;
 };
 
 void say(const std::string& line) { fmt::print(stderr, "{}\n", line); }
+
+// What people asked for: on stdout, unless a program reads that.
+void tell(const Options& o, const std::string& line) { fmt::print(o.json ? stderr : stdout, "{}\n", line); }
 
 // Observers: evenly over the path's time.
 std::vector<chart::Place> placesOf(const view::CameraPath& path, int count) {
@@ -42,12 +47,15 @@ std::vector<chart::Place> placesOf(const view::CameraPath& path, int count) {
   return places;
 }
 
-Result<void> write(const chart::Report& report, const Options& o, const std::string& name) {
+// The page, and what it leaves for the JSON.
+Result<chart::JsonPage> write(chart::Report report, const Options& o, const std::string& name) {
+  report.facts.emplace_back("command", o.command);
   const auto written = chart::writePage(report, o.out, name);
   if (!written) return written.error();
   if (!written->left_out.empty()) say(written->left_out);
-  fmt::print("{}\n", (std::filesystem::path(o.out) / (name + ".html")).string());
-  return {};
+  const std::string file = (std::filesystem::path(o.out) / (name + ".html")).string();
+  tell(o, file);
+  return chart::JsonPage{name, file, std::move(report)};
 }
 
 std::string percent(const chart::Figure& f) {
@@ -60,7 +68,8 @@ chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
   const formats::WorldInfo& info = world.info();
   r.title = "Speed against accuracy: " + info.scene;
   r.settings = sweep.settings;
-  r.tables = sweep.sources;
+  r.sources = sweep.sources;
+  for (const chart::ErrorSources& split : r.sources) r.tables.push_back(chart::tableOf(split, r.tables.size() + 1));
   r.facts = {{"world", fmt::format("{}: {} patches of {:.3g} m, {} levels", std::filesystem::path(sweep.world_path).filename().string(),
                                    world.levels()[0].nodes, static_cast<double>(info.cell_m), world.levels().size())},
              {"truth", fmt::format("path tracing on the scene's triangles, {} paths a patch; its own noise, taken off: {}",
@@ -80,21 +89,25 @@ chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
 }
 
 // The answer first, then what else was found.
-Result<void> answer(chart::Report& r, const Options& o, const chart::Sweep& sweep) {
-  const chart::Answer cheapest = chart::cheapestWithin(r, o.target_percent / 100);
-  const chart::Answer best = chart::bestWithin(r, o.budget_ms, o.budget_mib);
-  fmt::print("cheapest with error <= {:.3g} %: {}\n", o.target_percent, cheapest.line);
-  fmt::print("best within {:.3g} ms and {:.4g} MiB: {}\n", o.budget_ms, o.budget_mib, best.line);
+Result<std::vector<chart::Answered>> answer(chart::Report& r, const Options& o) {
+  chart::Answered cheapest{fmt::format("cheapest with error <= {:.3g} %", o.target_percent), o.target_percent / 100, {}, {},
+                           chart::cheapestWithin(r, o.target_percent / 100), ""};
+  chart::Answered best{fmt::format("best within {:.3g} ms and {:.4g} MiB", o.budget_ms, o.budget_mib), {}, o.budget_ms,
+                       o.budget_mib, chart::bestWithin(r, o.budget_ms, o.budget_mib), ""};
+  for (const chart::Answered* a : {&cheapest, &best}) tell(o, a->asked + ": " + a->answer.line);
   r.lead = fmt::format("Cheapest with an error of at most {:.3g} % in every light: {}. Best within {:.3g} ms and {:.4g} MiB: {}. The default:",
-                       o.target_percent, cheapest.line, o.budget_ms, o.budget_mib, best.line);
+                       o.target_percent, cheapest.answer.line, o.budget_ms, o.budget_mib, best.answer.line);
   for (const chart::Accuracy& a : r.settings.front().accuracy)
     r.lead += fmt::format(" {} {} (median {:.2f} %);", a.light, percent(a.rel_l2), 100 * a.median.value);
   r.lead.back() = '.';
-  if (o.keep_settings || !cheapest.setting) return {};
-  const std::string& world = sweep.world_of[*cheapest.setting];
-  if (auto written = chart::writeRecommendation(world, r, *cheapest.setting); !written) return written;
-  fmt::print("auto takes it up from beside {}\n", world);
-  return {};
+  if (!o.keep_settings && cheapest.answer.setting) {
+    const std::string& world = r.settings[*cheapest.answer.setting].world;
+    auto written = chart::writeRecommendation(world, r, *cheapest.answer.setting);
+    if (!written) return written.error();
+    cheapest.written = *written;
+    tell(o, "auto takes it up from beside " + world);
+  }
+  return std::vector{cheapest, best};
 }
 
 // How light that changes is followed, where the last light is brightest.
@@ -128,7 +141,7 @@ Result<void> addLag(chart::Report& r, const Options& o, chart::Sweep& sweep) {
   return {};
 }
 
-Result<void> chartWorld(Options& o) {
+Result<chart::JsonPage> chartWorld(Options& o) {
   view::CameraPath path;
   if (!o.camera.empty()) {
     auto read = view::readCamera(o.camera);
@@ -143,36 +156,43 @@ Result<void> chartWorld(Options& o) {
   auto sweep = chart::runSweep(o.sweep, say);
   if (!sweep) return sweep.error();
   chart::Report report = reportOf(o, *sweep);
-  if (auto answered = answer(report, o, *sweep); !answered) return answered;
+  auto answered = answer(report, o);
+  if (!answered) return answered.error();
   report.charts = chart::settingCharts(report);
-  if (auto followed = addLag(report, o, *sweep); !followed) return followed;
+  if (auto followed = addLag(report, o, *sweep); !followed) return followed.error();
   say("pictures of the worst places");
   auto pictures = chart::worstPlaces(*sweep->world, sweep->places, sweep->lights, sweep->standard,
                                      {.paths = o.sweep.quick ? 1024u : 4096u, .seed = o.sweep.seed}, o.out,
                                      {.paths = o.sweep.quick ? 200000u : 1000000u, .seed = o.sweep.seed});
   if (!pictures) return pictures.error();
   report.pictures = std::move(*pictures);
-  report.facts.emplace_back("command", o.command);
-  return write(report, o, "accuracy");
+  auto page = write(std::move(report), o, "accuracy");
+  if (page) page->answers = std::move(*answered);
+  return page;
 }
 
 Result<void> run(Options& o) {
   if (o.sweep.scene_path.empty() && !o.stability && !o.paper)
     return Error{ErrorCode::kUsage, "", "scene", "there is none", "name a .glb or .gltf, or ask for --stability or --paper"};
+  std::vector<chart::JsonPage> pages;
+  const auto add = [&](Result<chart::JsonPage> page) -> Result<void> {
+    if (!page) return page.error();
+    pages.push_back(std::move(*page));
+    return {};
+  };
   if (!o.sweep.scene_path.empty())
-    if (auto done = chartWorld(o); !done) return done;
+    if (auto done = add(chartWorld(o)); !done) return done;
   if (o.stability) {
     auto report = chart::measureStability({.quick = o.sweep.quick, .seed = o.sweep.seed}, say);
     if (!report) return report.error();
-    report->facts.emplace_back("command", o.command);
-    if (auto written = write(*report, o, "stability"); !written) return written;
+    if (auto done = add(write(std::move(*report), o, "stability")); !done) return done;
   }
   if (o.paper) {
     auto report = chart::measurePaper({.scene_path = o.paper_scene, .quick = o.sweep.quick, .seed = o.sweep.seed}, say);
     if (!report) return report.error();
-    report->facts.emplace_back("command", o.command);
-    if (auto written = write(*report, o, "paper"); !written) return written;
+    if (auto done = add(write(std::move(*report), o, "paper")); !done) return done;
   }
+  if (o.json) fmt::print("{}\n", chart::jsonDocument(FF_VERSION, o.command, pages));
   return {};
 }
 
@@ -199,6 +219,7 @@ int main(int argc, char** argv) {
   app.add_flag("--stability", o.stability, "another page: where methods break (needs no scene)");
   app.add_flag("--paper", o.paper, "another page: the seed paper's figures 3 and 4, ours beside theirs (needs no scene)");
   app.add_option("--paper-scene", o.paper_scene, "a scene of about 63,000 unit faces for --paper; a town is made besides");
+  app.add_flag("--json", o.json, "print all that was measured as one JSON document; what is said to people goes to stderr");
   app.add_option("--seed", o.sweep.seed, "of bakes and path tracing")->capture_default_str();
   try {
     app.parse(argc, argv);

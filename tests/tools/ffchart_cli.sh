@@ -14,7 +14,46 @@ expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --target-
 grep -q '^cheapest with error <= 50 %: ' out.txt || fail "no answer: $(cat out.txt)"
 for f in accuracy.html accuracy.csv speed-accuracy-sun-and-sky.svg speed-accuracy-lamps.svg; do [ -s "a/$f" ] || fail "no a/$f"; done
 ls a/worlds/*.settings.json >/dev/null || fail "the answer is not beside the world"
-expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings
+expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings --json
+grep -q '^cheapest with error <= 3 %: ' err.txt || fail "people are not told on stderr"
+python3 - <<'PY' || fail "the JSON is wrong, or not what the table says"
+import csv, json
+text = open("out.txt").read()
+document = json.loads(text, parse_constant=lambda c: 1 / 0)  # no NaN, no Infinity
+assert text.count("\n") == 1 and "town.glb" in document["command"] and document["version"]
+page = document["accuracy"]
+settings = {s["setting"]: s for s in page["settings"]}
+rows = list(csv.DictReader(open("a/accuracy.csv")))
+assert len(rows) == sum(max(1, len(s["accuracy"])) for s in settings.values())
+compared = 0
+for row in rows:
+    setting = settings[row["setting"]]
+    accuracy = {a["light"]: a for a in setting["accuracy"]}.get(row["light"], {})
+    for column, cell in row.items():
+        if column == "knobs":
+            assert cell == "; ".join(f"{k} = {v}" for k, v in setting["knobs"].items())
+            continue
+        value = {**setting, **accuracy}.get(column)
+        if isinstance(value, bool): assert cell == str(int(value)), (column, cell, value)
+        elif isinstance(value, float) or isinstance(value, int):
+            assert float(cell) == value, (column, cell, value)
+            compared += 1
+        else: assert cell == (value or ""), (column, cell, value)
+assert compared > 12 * len(rows), compared
+assert [s["light"] for s in page["sources"]] == [a["light"] for a in page["settings"][0]["accuracy"]]
+for split in page["sources"]:
+    parts = {s["source"]: s for s in split["sources"]}
+    assert {"all together", "patches and rows", "cut", "solver"} <= set(parts), parts
+    default = next(a for a in settings["default"]["accuracy"] if a["light"] == split["light"])
+    assert abs(parts["all together"]["rel_l2"] - default["rel_l2"]) < 0.01 * default["rel_l2"]
+    assert parts["all together"]["rel_l2_error"] > 0
+cheapest, best = page["answers"]
+assert cheapest["at_most_rel_l2"] == 0.03 and cheapest["written"] is None
+assert best["at_most_relight_ms"] == 1 and best["at_most_memory_mib"] == 256
+for answer in page["answers"]: assert answer["setting"] is None or answer["setting"] in settings
+assert {"speed-accuracy-sun-and-sky", "speed-accuracy-lamps"} <= {c["id"] for c in page["charts"]}
+assert page["tables"] and page["pictures"] and page["facts"]["seed"] == "1"
+PY
 python3 - <<'PY' || fail "the table is wrong"
 import csv
 rows = list(csv.DictReader(open("a/accuracy.csv")))

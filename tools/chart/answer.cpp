@@ -1,7 +1,6 @@
 #include "tools/chart/answer.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <cstdio>
 #include <fstream>
@@ -11,6 +10,7 @@
 #include "runtime/choose_solver.h"
 #include "tools/chart/figure_text.h"
 #include "tools/chart/front.h"
+#include "tools/chart/run_settings_json.h"
 
 namespace ff::chart {
 namespace {
@@ -52,15 +52,6 @@ Answer choose(const Report& report, std::vector<Candidate> all, const std::strin
   return {std::nullopt, "nothing " + what + "; nearest is " + figures(report, *nearest)};
 }
 
-// As short as the float that the run time makes of it: 1.6, not 1.600000023841858.
-double asShortAsAFloat(double v) {
-  char text[64];
-  const auto end = std::to_chars(text, text + sizeof text, static_cast<float>(v)).ptr;
-  double shortest = v;
-  std::from_chars(text, end, shortest);
-  return shortest;
-}
-
 }  // namespace
 
 Answer cheapestWithin(const Report& report, double rel_l2, const Candidates& which) {
@@ -90,20 +81,12 @@ Answer bestWithin(const Report& report, double relight_ms, double memory_mib, co
       [&](const Candidate& a, const Candidate& b) { return over(a) < over(b); });
 }
 
-Result<void> writeRecommendation(const std::string& world_path, const Report& report, size_t index) {
+Result<std::string> writeRecommendation(const std::string& world_path, const Report& report, size_t index) {
   const Setting& s = report.settings[index];
   const std::string path = runtime::settingsPath(world_path);
   if (s.run.solver.empty())
     return Error{ErrorCode::kUsage, path, "", "the run time cannot be told \"" + s.name + "\"", "choose another setting"};
-  nlohmann::ordered_json json;
-  json["solver"] = s.run.solver;
-  json["storage"] = s.run.storage;
-  json["luminance"] = s.run.luminance;
-  json["places"] = s.run.places;
-  json["iterations"] = s.run.iterations;
-  if (s.run.radius_m > 0) json["radius_m"] = asShortAsAFloat(s.run.radius_m);
-  if (s.run.growth > 0) json["growth"] = asShortAsAFloat(s.run.growth);
-  if (s.run.max_patches > 0) json["max_patches"] = s.run.max_patches;
+  nlohmann::ordered_json json = jsonOf(s.run);
   auto& measured = json["measured"];
   measured["setting"] = s.name;
   const auto put = [&](const char* key, double value) {
@@ -118,7 +101,7 @@ Result<void> writeRecommendation(const std::string& world_path, const Report& re
   std::ofstream out(part, std::ios::binary | std::ios::trunc);
   out << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << "\n";
   out.close();
-  if (out && std::rename(part.c_str(), path.c_str()) == 0) return {};
+  if (out && std::rename(part.c_str(), path.c_str()) == 0) return path;
   std::remove(part.c_str());
   return Error{ErrorCode::kIo, path, "", "cannot be written", "check the folder's permissions and free space"};
 }

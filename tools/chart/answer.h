@@ -19,6 +19,14 @@ struct Answer {
   std::string line;               // the setting and its figures; without one, why, and what comes nearest
 };
 
+// A question with its answer.
+struct Answered {
+  std::string asked;                                     // "cheapest with error <= 3 %"
+  std::optional<double> rel_l2, relight_ms, memory_mib;  // the limits asked for
+  Answer answer;
+  std::string written;                                   // where `auto` finds the setting; empty: nowhere
+};
+
 // The fastest to relight whose worst error over all lights is at most rel_l2 (0.05: 5 %); of equally fast ones that with
 // the least memory. Settings that lack a figure that is asked for are none.
 Answer cheapestWithin(const Report& report, double rel_l2, const Candidates& candidates = {});
@@ -27,8 +35,8 @@ Answer cheapestWithin(const Report& report, double rel_l2, const Candidates& can
 Answer bestWithin(const Report& report, double relight_ms, double memory_mib, const Candidates& candidates = {});
 
 // Writes NAME.settings.json beside NAME.ffm: what runtime/choose_solver.h reads, and what was measured. The world is that of
-// the setting's own bake. The same setting gives the same bytes; the file is replaced at once. Errors: kUsage where `auto`
-// cannot choose such a setting; kIo.
-Result<void> writeRecommendation(const std::string& world_path, const Report& report, size_t setting);
+// the setting's own bake. The same setting gives the same bytes; the file is replaced at once. Returns its path. Errors:
+// kUsage where `auto` cannot choose such a setting; kIo.
+Result<std::string> writeRecommendation(const std::string& world_path, const Report& report, size_t setting);
 
 }  // namespace ff::chart

@@ -1,5 +1,4 @@
-// At what number a method breaks: error along a knob that is turned from easy to hard, and the first number past a
-// limit.
+// At what number a method breaks: the first past a limit along a knob that is turned from easy to hard.
 #pragma once
 #include <span>
 #include <string>
@@ -8,16 +7,6 @@
 #include "tools/chart/report.h"
 
 namespace ff::chart {
-
-struct Measured {
-  std::string scene, method;  // "closed box, albedo 0.98", "seed"
-  std::string knob, unit;     // "swaps", ""; "patch size", "m"
-  struct Point {
-    double at = 0, error = 0;  // error: relative; infinity where a value is not finite
-  };
-  std::vector<Point> points;  // from easy to hard
-  std::string then;           // what the program does, with counts
-};
 
 // The first number at which the error is above the limit, as text: "3,200", "0.5 m"; "never to 100,000".
 std::string passes(const Measured& measured, double limit);

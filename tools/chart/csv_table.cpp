@@ -1,13 +1,9 @@
 #include "tools/chart/figure_text.h"
 #include "tools/chart/page_html.h"
+#include "tools/chart/setting_figures.h"
 
 namespace ff::chart {
 namespace {
-
-constexpr const char* kHeader =
-    "setting,varies,is_default,bakes_anew,on_front,relight_ms,relight_ms_error,update_ms_per_tile,"
-    "update_ms_per_tile_error,disk_bytes,memory_bytes,bake_seconds,patches,active_nodes,light,rel_l2,rel_l2_error,median,"
-    "median_error,p95,p95_error,p99,p99_error,energy,energy_error,full_solve_rel_l2,full_solve_rel_l2_error,knobs,note\n";
 
 std::string quoted(const std::string& text) {
   if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
@@ -19,30 +15,45 @@ std::string quoted(const std::string& text) {
   return out + "\"";
 }
 
-void put(std::string& line, const Figure& f) {
-  const bool measured = !exactNumber(f.value).empty();
-  line += exactNumber(f.value) + "," + (measured ? exactNumber(f.error) : "") + ",";
-}
+// Each cell and the comma after it. A figure has two: its value and its error.
+struct Names {
+  std::string line{};
+  template <class Value>
+  void operator()(const char* name, const Value&) {
+    line += std::string(name) + ",";
+  }
+  void operator()(const char* name, const Figure&) { line += std::string(name) + "," + name + "_error,"; }
+};
+
+struct Cells {
+  std::string line{};
+  void operator()(const char*, const std::string& text) { line += quoted(text) + ","; }
+  void operator()(const char*, bool flag) { line += flag ? "1," : "0,"; }
+  void operator()(const char*, double value) { line += exactNumber(value) + ","; }
+  void operator()(const char*, const Figure& f) {
+    const std::string value = exactNumber(f.value);
+    line += value + "," + (value.empty() ? "" : exactNumber(f.error)) + ",";
+  }
+};
 
 }  // namespace
 
 std::string csvTable(const Report& report) {
-  std::string csv = kHeader;
+  Names names;
+  eachFigure(Setting{}, names);
+  eachFigure(Accuracy{}, names);
+  std::string csv = names.line + "knobs,note\n";
   for (const Setting& s : report.settings) {
-    std::string front = quoted(s.name) + "," + quoted(s.varies) + ",";
-    for (const bool flag : {s.is_default, s.bakes_anew, s.on_front}) front += flag ? "1," : "0,";
-    put(front, s.relight_ms);
-    put(front, s.update_ms_per_tile);
-    for (const double v : {s.disk_bytes, s.memory_bytes, s.bake_seconds, s.patches, s.active_nodes})
-      front += exactNumber(v) + ",";
+    Cells front;
+    eachFigure(s, front);
     std::string knobs;
     for (const auto& [knob, value] : s.knobs) knobs += (knobs.empty() ? "" : "; ") + knob + " = " + value;
     const std::string back = quoted(knobs) + "," + quoted(s.note) + "\n";
     const std::vector<Accuracy> none(1);
     for (const Accuracy& a : s.accuracy.empty() ? none : s.accuracy) {
-      csv += front + quoted(a.light) + ",";
-      for (const Figure& f : {a.rel_l2, a.median, a.p95, a.p99, a.energy, a.full_solve_rel_l2}) put(csv, f);
-      csv += back;
+      Cells line = front;
+      eachFigure(a, line);
+      csv += line.line + back;
     }
   }
   return csv;

@@ -83,26 +83,38 @@ Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* 
       truth.push_back(power);
     }
     const Accuracy all = total.accuracy(""), floor = exact.accuracy("");
-    Table t;
-    t.id = "sources-" + std::to_string(l + 1);
-    t.title = "Where the error comes from: " + sweep.lights[l].name;
-    t.note = fmt::format("Relative L2 over {} places. Each line is measured by taking its source away and nothing else; squares of "
-                         "the four lines would add up to the square of the whole if they were independent.",
-                         sweep.places.size());
-    t.columns = {"source", "error", "measured as"};
-    t.rows.push_back({"all together", percent(all.rel_l2), "the default against the path tracer"});
-    t.rows.push_back({reference ? "patches" : "patches and rows", percent(floor.rel_l2),
-                      reference ? fmt::format("full solve, {} rays and {} quanta, against the path tracer", kReferenceRays, kReferenceQuanta)
-                                : "full solve of the default's rows against the path tracer"});
-    if (reference) t.rows.push_back({"rows", percent(relativeNorm(rows, truth)), "full solve of the default's rows against that of the reference rows"});
-    t.rows.push_back({"cut", percent(all.full_solve_rel_l2), "streamed against the full solve of the same rows"});
-    t.rows.push_back({"solver", percent(relativeNorm(more_steps, truth)), "what 200 more steps change"});
+    ErrorSources split{sweep.lights[l].name, sweep.places.size(), {}};
+    const auto source = [&](const std::string& name, const Figure& error, const std::string& measured_as) {
+      split.sources.push_back({name, error, measured_as});
+    };
+    source("all together", all.rel_l2, "the default against the path tracer");
+    if (reference) {
+      source("patches", floor.rel_l2,
+             fmt::format("full solve, {} rays and {} quanta, against the path tracer", kReferenceRays, kReferenceQuanta));
+      source("rows", relativeNorm(rows, truth), "full solve of the default's rows against that of the reference rows");
+    } else {
+      source("patches and rows", floor.rel_l2, "full solve of the default's rows against the path tracer");
+    }
+    source("cut", all.full_solve_rel_l2, "streamed against the full solve of the same rows");
+    source("solver", relativeNorm(more_steps, truth), "what 200 more steps change");
     if (sweep.lights[l].hasSun())
-      t.rows.push_back({"of which shadow rays", percent(relativeNorm(sun, truth)),
-                        fmt::format("sun by {} rays a patch against the path tracer's (its noise included)", sweep.standard.shadow_rays)});
-    sweep.sources.push_back(std::move(t));
+      source("of which shadow rays", relativeNorm(sun, truth),
+             fmt::format("sun by {} rays a patch against the path tracer's (its noise included)", sweep.standard.shadow_rays));
+    sweep.sources.push_back(std::move(split));
   }
   return {};
+}
+
+Table tableOf(const ErrorSources& split, size_t number) {
+  Table t;
+  t.id = "sources-" + std::to_string(number);
+  t.title = "Where the error comes from: " + split.light;
+  t.note = fmt::format("Relative L2 over {} places. Each line is measured by taking its source away and nothing else; squares of "
+                       "the four lines would add up to the square of the whole if they were independent.",
+                       split.places);
+  t.columns = {"source", "error", "measured as"};
+  for (const ErrorSources::Source& s : split.sources) t.rows.push_back({s.source, percent(s.error), s.measured_as});
+  return t;
 }
 
 }  // namespace ff::chart

@@ -28,4 +28,7 @@ Result<Rows> rowsOf(MeasuredWorld& world, const Sweep& sweep);
 // Fills sweep.sources. reference: null where there is no such bake; patches and rows are then one line.
 Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* reference);
 
+// As people read it; number: of the table on its page, from 1.
+Table tableOf(const ErrorSources& split, size_t number);
+
 }  // namespace ff::chart

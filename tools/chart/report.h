@@ -53,6 +53,7 @@ struct Setting {
   std::vector<Accuracy> accuracy{};    // one a light situation, in the report's order
   bool on_front = false;               // no other setting is both faster and more accurate
   std::string note{};                  // one line, where a figure needs it
+  std::string world{};                 // the path of its bake
   RunSettings run{};
 };
 
@@ -87,6 +88,29 @@ struct Table {
   std::vector<std::vector<std::string>> rows{};
 };
 
+// The end-to-end error in one light, source by source.
+struct ErrorSources {
+  struct Source {
+    std::string source{};
+    Figure error{};
+    std::string measured_as{};         // "streamed against the full solve of the same rows"
+  };
+  std::string light{};
+  size_t places = 0;                   // observers
+  std::vector<Source> sources{};       // first all together
+};
+
+// The error of one method along a knob that is turned from easy to hard.
+struct Measured {
+  std::string scene, method;           // "closed box, albedo 0.98", "seed"
+  std::string knob, unit;              // "swaps", ""; "patch size", "m"
+  struct Point {
+    double at = 0, error = 0;          // error: relative; infinity where a value is not finite
+  };
+  std::vector<Point> points;
+  std::string then;                    // what the program does, with counts
+};
+
 // A PNG beside the page (taken into it as data when the page is written).
 struct Illustration {
   std::string file{}, title{}, note{};
@@ -98,7 +122,9 @@ struct Report {
   std::vector<std::pair<std::string, std::string>> facts;  // {"world", "town.ffm, 59,890 patches of 1 m"}, ...; the command last
   std::vector<Setting> settings;       // first the default
   std::vector<Chart> charts;
-  std::vector<Table> tables;
+  std::vector<Table> tables;           // in words, whatever figures they come from
+  std::vector<ErrorSources> sources;   // by light
+  std::vector<Measured> cases;         // where methods break
   std::vector<Illustration> pictures;
 };
 

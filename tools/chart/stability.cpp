@@ -10,7 +10,6 @@ namespace ff::chart {
 Result<Report> measureStability(const StabilityOptions& options, const StabilityProgress& progress) {
   Report report;
   report.title = "Where it breaks";
-  std::vector<Measured> measured;
   using Experiment = Result<StabilityPart> (*)(const StabilityOptions&, const StabilityProgress&);
   for (const Experiment experiment :
        {Experiment{stabilityOfWalks}, Experiment{stabilityOfAlbedo}, Experiment{stabilityOfEnergy},
@@ -19,9 +18,9 @@ Result<Report> measureStability(const StabilityOptions& options, const Stability
     if (!part) return part.error();
     report.lead += (report.lead.empty() || part->lead.empty() ? "" : " ") + part->lead;
     std::move(part->charts.begin(), part->charts.end(), std::back_inserter(report.charts));
-    std::move(part->measured.begin(), part->measured.end(), std::back_inserter(measured));
+    std::move(part->measured.begin(), part->measured.end(), std::back_inserter(report.cases));
   }
-  report.tables.push_back(breakingTable(measured));
+  report.tables.push_back(breakingTable(report.cases));
   report.facts = {
       {"run", options.quick ? "quick: fewer swaps, smaller scenes" : "full"},
       {"seed", numberText(static_cast<double>(options.seed))},

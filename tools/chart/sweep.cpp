@@ -286,9 +286,9 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
         line += fmt::format("   {} {:.2f} % (median {:.2f}, full solve {:.2f})", a.light, 100 * a.rel_l2.value,
                             100 * a.median.value, 100 * a.full_solve_rel_l2.value);
       say(line + (setting->note.empty() ? "" : "   " + setting->note));
+      setting->world = path;
       sweep.settings.push_back(std::move(*setting));
       sweep.knobs.push_back(v.knobs);
-      sweep.world_of.push_back(path);
       if (v.varies.empty()) sweep.tracer_noise = run.tracerNoise();
     }
     if (world != sweep.world.get() && knobs.rays == kReferenceRays && knobs.quanta == kReferenceQuanta) {

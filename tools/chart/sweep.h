@@ -38,10 +38,9 @@ struct Sweep {
   Knobs standard;
   std::vector<Knobs> knobs;               // by setting
   std::vector<Setting> settings;          // the default first
-  std::vector<Table> sources;             // the end-to-end error, source by source, a light each
+  std::vector<ErrorSources> sources;      // by light
   std::unique_ptr<MeasuredWorld> world;   // the default's
   std::string world_path;                 // of the default
-  std::vector<std::string> world_of;      // by setting
   std::vector<double> tracer_noise;       // by light, relative
 };
 
