@@ -9,7 +9,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "tools/chart/sweep.h"
+#include "tools/chart/sweep/sweep.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_town.h"
 #include "tools/view_camera.h"

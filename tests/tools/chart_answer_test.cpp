@@ -7,9 +7,9 @@
 
 #include "runtime/choose_solver.h"
 #include "tests/formats/random_world.h"
-#include "tools/chart/front.h"
-#include "tools/chart/page.h"
-#include "tools/chart/setting_charts.h"
+#include "tools/chart/page/front.h"
+#include "tools/chart/page/page.h"
+#include "tools/chart/page/setting_charts.h"
 
 namespace ff::chart {
 namespace {

@@ -1,5 +1,5 @@
 // Errors over patches and places, on numbers made by hand.
-#include "tools/chart/comparison.h"
+#include "tools/chart/sweep/comparison.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Pictures of errors: which patches are seen, from where, and in what colours.
-#include "tools/chart/heat_picture.h"
+#include "tools/chart/sweep/heat_picture.h"
 
 #include <gtest/gtest.h>
 
@@ -10,9 +10,9 @@
 #include <fstream>
 
 #include "tests/bake/analytic_scenes.h"
-#include "tools/chart/comparison.h"
-#include "tools/chart/running_cut.h"
 #include "tools/chart/scene_of_model.h"
+#include "tools/chart/sweep/comparison.h"
+#include "tools/chart/sweep/running_cut.h"
 #include "tools/scene_analytic.h"
 
 namespace ff::chart {

@@ -1,5 +1,5 @@
 // The JSON document of ffchart: every figure, whatever its value; every text, whatever its bytes.
-#include "tools/chart/json_report.h"
+#include "tools/chart/page/json_report.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "tools/chart/page.h"
+#include "tools/chart/page/page.h"
 
 #include <gtest/gtest.h>
 
@@ -11,9 +11,9 @@
 #include <sstream>
 
 #include "tests/formats/random_world.h"
-#include "tools/chart/axis.h"
-#include "tools/chart/figure_text.h"
-#include "tools/chart/page_html.h"
+#include "tools/chart/page/axis.h"
+#include "tools/chart/page/figure_text.h"
+#include "tools/chart/page/page_html.h"
 
 namespace ff::chart {
 namespace {

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "tools/chart/baked_scene.h"
-#include "tools/chart/paper_methods.h"
+#include "tools/chart/paper/methods.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/scene_analytic.h"
 #include "tools/scene_town.h"

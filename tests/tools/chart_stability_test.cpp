@@ -5,8 +5,8 @@
 #include <limits>
 #include <numeric>
 
-#include "tools/chart/stability_parts.h"
-#include "tools/chart/walk_matrix.h"
+#include "tools/chart/stability/parts.h"
+#include "tools/chart/stability/walk_matrix.h"
 
 namespace ff::chart {
 namespace {

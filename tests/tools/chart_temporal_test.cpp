@@ -1,5 +1,5 @@
 // Light that changes, in a room with a window to the sky.
-#include "tools/chart/temporal.h"
+#include "tools/chart/sweep/temporal.h"
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,7 @@
 // The path tracer against light that is known in closed form. Where a tolerance is a number of standard errors, it is
 // that of a mean of many patches, whose error is nearly normal: four of them are passed by chance once in 16,000 runs,
 // and every run draws the same numbers.
-#include "tools/chart/path_tracer.h"
+#include "tools/chart/truth/path_tracer.h"
 
 #include <gtest/gtest.h>
 

@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "runtime/choose_solver.h"
-#include "tools/chart/figure_text.h"
-#include "tools/chart/front.h"
+#include "tools/chart/page/figure_text.h"
+#include "tools/chart/page/front.h"
 #include "tools/chart/run_settings_json.h"
 
 namespace ff::chart {

@@ -1,0 +1,88 @@
+#include "tools/chart/sweep/measured_world.h"
+
+#include <algorithm>
+#include <numeric>
+
+#include "runtime/full_solve.h"
+
+namespace ff::chart {
+
+Result<MeasuredWorld> MeasuredWorld::open(const bake::Scene& scene, const std::string& path) {
+  auto world = formats::World::open(path);
+  if (!world) return world.error();
+  MeasuredWorld m;
+  m.world_ = std::make_unique<formats::World>(std::move(*world));
+  auto tracer = PathTracer::create(scene, *m.world_);
+  if (!tracer) return tracer.error();
+  m.tracer_ = std::make_unique<PathTracer>(std::move(*tracer));
+  for (const formats::TileInfo& info : m.world_->tiles(0)) {
+    const auto strip = m.world_->strip(info.id);
+    if (!strip) return strip.error();
+    for (const formats::Node& node : strip->nodes) {
+      m.nodes_.push_back(node);
+      m.areas_m2_.push_back(node.area_m2);
+    }
+  }
+  return m;
+}
+
+uint64_t MeasuredWorld::rowBytes() const {
+  uint64_t bytes = 0;
+  for (const formats::LevelInfo& level : world_->levels()) bytes += level.stored_bytes;
+  return bytes;
+}
+
+void MeasuredWorld::lookAt(std::span<const Place> places, uint32_t most) {
+  looked_at_.clear();
+  of_place_.assign(places.size(), {});
+  std::vector<uint32_t> number(nodes_.size(), bake::kNone), near;
+  for (size_t at = 0; at < places.size(); ++at) {
+    near.clear();
+    for (uint32_t p = 0; p < nodes_.size(); ++p)
+      if (length(nodes_[p].centroid - places[at].observer) <= places[at].reach_m) near.push_back(p);
+    const size_t count = std::min<size_t>(most, near.size());
+    for (size_t k = 0; k < count; ++k) {
+      const uint32_t patch = near[near.size() * (2 * k + 1) / (2 * count)];
+      if (number[patch] == bake::kNone) {
+        number[patch] = static_cast<uint32_t>(looked_at_.size());
+        looked_at_.push_back(patch);
+      }
+      of_place_[at].push_back(number[patch]);
+    }
+  }
+  lit_.clear();
+}
+
+LitWorld MeasuredWorld::direct(const Lighting& light, uint32_t shadow_rays) const {
+  LitWorld made;
+  made.light = light;
+  std::vector<uint32_t> all(nodes_.size());
+  std::iota(all.begin(), all.end(), 0u);
+  const std::vector<Vec3> sun = tracer_->sunIrradiance(all, light, shadow_rays);
+  std::vector<Vec3> lamps;
+  made.source.reserve(3 * nodes_.size());
+  for (size_t p = 0; p < nodes_.size(); ++p) {
+    const formats::Node& node = nodes_[p];
+    lamps.push_back(node.emission * light.lampsAt(node.centroid));
+    const Vec3 m = lamps.back() + node.albedo * (sun[p] + runtime::skyIrradiance(light.sky, node));
+    for (int c = 0; c < 3; ++c) made.source.push_back(static_cast<double>(m[c]));
+  }
+  made.sun = runtime::aggregateUp(*world_, areas_m2_, sun);
+  made.lamps = runtime::aggregateUp(*world_, areas_m2_, lamps);
+  return made;
+}
+
+Result<const LitWorld*> MeasuredWorld::lit(const Lighting& light, uint32_t shadow_rays, const TraceSettings* trace) {
+  std::unique_ptr<LitWorld>& kept = lit_[{light.name, shadow_rays}];
+  if (!kept) {
+    auto made = std::make_unique<LitWorld>(direct(light, shadow_rays));
+    auto full = runtime::solveFullWorld(*world_, made->source);
+    if (!full) return full.error();
+    made->full = std::move(full->radiosity);
+    kept = std::move(made);
+  }
+  if (trace && kept->traced.empty()) kept->traced = tracer_->trace(looked_at_, light, *trace);
+  return kept.get();
+}
+
+}  // namespace ff::chart

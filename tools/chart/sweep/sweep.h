@@ -1,0 +1,50 @@
+// The sweep: bakes and runs a scene at many settings, one knob at a time, and compares each with the truth.
+#pragma once
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "tools/chart/report.h"
+#include "tools/chart/sweep/measured_world.h"
+
+namespace ff::chart {
+
+struct SweepOptions {
+  std::string scene_path;
+  std::string world_path;                 // of the default bake; empty: baked into `folder`
+  std::string folder;                     // for worlds that are baked on the way; they are left there and used again
+  std::vector<std::string> leave_out;     // BakeSettings::leave_out
+  float cell_m = 0;                       // 0: the world's, or from the patch budget
+  uint32_t patch_budget = 60000;
+  bool quick = false;
+  bool only_default = false;
+  std::vector<Place> path;                // observers; reach is filled in by the sweep. Empty: spread over the surface
+  int observers = 12;                     // if the path is empty
+  std::vector<Lighting> lights;           // to be path traced; at least one. One of lamps is left out where there are none, and
+                                          // followed by one of the lamps nearest to an observer alone
+  uint64_t seed = 1;
+};
+
+// One line now and then.
+using Say = std::function<void(const std::string&)>;
+
+// Everything the sweep keeps for the charts that come after it.
+struct Sweep {
+  std::unique_ptr<const bake::Scene> scene;  // the tracer keeps its address
+  std::vector<Place> places;
+  std::vector<Lighting> lights;
+  Knobs standard;
+  std::vector<Knobs> knobs;               // by setting
+  std::vector<Setting> settings;          // the default first
+  std::vector<ErrorSources> sources;      // by light
+  std::unique_ptr<MeasuredWorld> world;   // the default's
+  std::string world_path;                 // of the default
+  std::vector<double> tracer_noise;       // by light, relative
+};
+
+// Errors: those of import, bake and reading.
+Result<Sweep> runSweep(const SweepOptions& options, const Say& say);
+
+}  // namespace ff::chart
