@@ -5,6 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "runtime/converge.h"
+
 namespace ff::runtime {
 namespace {
 
@@ -146,24 +148,8 @@ Result<void> Updater::relightAll() {
 
 Result<int> Updater::converge(float tolerance, int max_iterations) {
   FF_CHECK_EQ(started_, true);
-  constexpr int kFewest = 8, kMost = 64;  // iterations between two looks at the change: long runs are the quicker ones
   before_.resize(matrix().slots());
-  for (int done = 0; done < max_iterations;) {
-    const int batch = std::min({std::max(kFewest, done), kMost, max_iterations - done});
-    if (auto r = solver_.approach(batch - 1); !r) return r.error();
-    if (auto r = solver_.radiosity(before_); !r) return r.error();
-    if (auto r = solver_.iterate(1); !r) return r.error();
-    if (auto r = solver_.radiosity(radiosity_); !r) return r.error();
-    done += batch;
-    float change = 0, largest = 0;
-    for (size_t s = 0; s < radiosity_.size(); ++s) {
-      const Vec4 a = before_[s], b = radiosity_[s];
-      change = std::max({change, std::abs(b.x - a.x), std::abs(b.y - a.y), std::abs(b.z - a.z)});
-      largest = std::max({largest, std::abs(b.x), std::abs(b.y), std::abs(b.z)});
-    }
-    if (change <= tolerance * largest) return done;
-  }
-  return max_iterations;
+  return runtime::converge(solver_, {.tolerance = tolerance, .max_iterations = max_iterations}, radiosity_, before_);
 }
 
 const LocalMatrix& Updater::matrix() const { return assembler_.matrix(); }

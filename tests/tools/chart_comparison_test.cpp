@@ -4,8 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <filesystem>
 
+#include "tests/tools/chart_world.h"
+#include "tools/chart/outside.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/scene_analytic.h"
 
@@ -13,18 +14,10 @@ namespace ff::chart {
 namespace {
 
 // A small world whose patches differ in size, and light that a test fills in. Values of patch k: base + k.
-class ComparisonOfPlaces : public testing::Test {
+class ComparisonOfPlaces : public InABakedScene {
  protected:
   void SetUp() override {
-    folder_ = testing::TempDir() + "chart_comparison_XXXXXX";
-    ASSERT_TRUE(mkdtemp(folder_.data()));
-    scene_ = sceneOf(tools::furnaceBox(0.5f, 2));
-    scene_.name = "box";
-    const std::string path = folder_ + "/world.ffm";
-    ASSERT_TRUE(bake::bakeWorld(scene_, {.cell_m = 0.4f, .rays = 16, .threads = 1}, path));
-    auto opened = MeasuredWorld::open(scene_, path);
-    ASSERT_TRUE(opened) << opened.error().line();
-    world_ = std::make_unique<MeasuredWorld>(std::move(*opened));
+    ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.4f, 16));
     world_->lookAt(std::vector<Place>{{{0.5f, 0.5f, 0.5f}, {}, 10}}, 100000);
     ASSERT_EQ(world_->lookedAt().size(), world_->patches().size());
     light_.lamps.mean.resize(1);
@@ -33,11 +26,6 @@ class ComparisonOfPlaces : public testing::Test {
     light_.traced.resize(world_->patches().size());
     for (PatchTruth& t : light_.traced) t.reflected = {2, 2, 2};
   }
-  void TearDown() override {
-    world_.reset();
-    std::error_code ignored;
-    std::filesystem::remove_all(folder_, ignored);
-  }
   static std::vector<double> repeated(size_t patches, double value) { return std::vector<double>(3 * patches, value); }
   double areaOf(std::span<const uint32_t> numbers) const {
     double area = 0;
@@ -45,9 +33,6 @@ class ComparisonOfPlaces : public testing::Test {
     return area;
   }
 
-  bake::Scene scene_;
-  std::string folder_;
-  std::unique_ptr<MeasuredWorld> world_;
   LitWorld light_;
 };
 
@@ -154,6 +139,35 @@ TEST(RelativeNorm, KeepsWhatIsNotFiniteAndTakesNoiseBelowZeroAsZero) {
   EXPECT_FALSE(std::isfinite(relativeNorm(std::vector<double>{1, infinity}, std::vector<double>{1, 1}).value));
   EXPECT_TRUE(std::isnan(relativeNorm(std::vector<double>{}, std::vector<double>{}).value));
   EXPECT_EQ(relativeNorm(std::vector<double>{-1, 0.5}, std::vector<double>{1, 1}).value, 0);
+}
+
+// Patches 0 to 4 at x = their number; 1 and 2 are active, a coarse node is not.
+TEST(Outside, HasADistanceAndAMeanByArea) {
+  std::vector<formats::Node> nodes(5);
+  for (size_t i = 0; i < nodes.size(); ++i) nodes[i].centroid = {static_cast<float>(i), 0, 0};
+  std::vector<runtime::SlotRange> tiles(2);
+  tiles[0].id = {0, 0};
+  tiles[0].first_node = 1;
+  tiles[0].nodes = 2;
+  tiles[1].id = {1, 0};
+  tiles[1].first_node = 0;
+  tiles[1].nodes = 5;
+  const Outside outside(nodes.size(), tiles);
+  EXPECT_EQ(outside.distance({1.75f, 0, 0}, nodes), 1.25f);
+  EXPECT_EQ(outside.distance({0.25f, 0, 0}, nodes), 0.25f);
+  EXPECT_EQ(outside.distance({0, 0, 0}, std::span(nodes).subspan(1, 3), 1), 3) << "numbers from 1 on: 3 alone is outside";
+  const std::vector<float> areas{1, 100, 100, 1, 2};
+  std::vector<double> radiosity(15, 0);
+  radiosity[3 * 0] = 4, radiosity[3 * 1] = 1000, radiosity[3 * 4 + 1] = 6;
+  const runtime::Vec4 mean = outside.meanRadiosity(areas, radiosity);
+  EXPECT_EQ(mean.x, 1);
+  EXPECT_EQ(mean.y, 3);
+  EXPECT_EQ(mean.z, 0);
+  tiles[0].first_node = 0;
+  tiles[0].nodes = 5;
+  const Outside none(nodes.size(), tiles);
+  EXPECT_EQ(none.distance({0, 0, 0}, nodes), 1e30f);
+  EXPECT_EQ(none.meanRadiosity(areas, radiosity).x, 0);
 }
 
 TEST(MedianOf, IsTheMiddleWithHalfTheQuartileRange) {

@@ -10,6 +10,7 @@
 #include <fstream>
 
 #include "tests/bake/analytic_scenes.h"
+#include "tests/tools/chart_world.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/sweep/running_cut.h"
@@ -18,28 +19,9 @@
 namespace ff::chart {
 namespace {
 
-class HeatPicture : public testing::Test {
- protected:
-  void open(bake::Scene scene, float cell_m) {
-    folder_ = testing::TempDir() + "chart_heat_XXXXXX";
-    ASSERT_TRUE(mkdtemp(folder_.data()));
-    scene_ = std::move(scene);
-    scene_.name = "scene";
-    ASSERT_TRUE(bake::bakeWorld(scene_, {.cell_m = cell_m, .rays = 256, .threads = 1}, folder_ + "/world.ffm"));
-    auto opened = MeasuredWorld::open(scene_, folder_ + "/world.ffm");
-    ASSERT_TRUE(opened) << opened.error().line();
-    world_ = std::make_unique<MeasuredWorld>(std::move(*opened));
-  }
-  void TearDown() override {
-    world_.reset();
-    std::error_code ignored;
-    std::filesystem::remove_all(folder_, ignored);
-  }
+constexpr uint32_t kRays = 256;
 
-  bake::Scene scene_;
-  std::string folder_;
-  std::unique_ptr<MeasuredWorld> world_;
-};
+using HeatPicture = InABakedScene;
 
 using Colour = std::array<int, 3>;
 Colour at(const view::Picture& p, uint32_t x, uint32_t y) {
@@ -53,7 +35,7 @@ int brightness(const Colour& c) { return c[0] + c[1] + c[2]; }
 TEST_F(HeatPicture, ColoursPatchesByTheirError) {
   bake::Scene floor;
   bake::test::addQuad(floor, {0, 0, 0}, {0, 0, 4}, {4, 0, 4}, {4, 0, 0}, bake::test::addMaterial(floor, {0.5f, 0.5f, 0.5f}));
-  open(std::move(floor), 1);
+  ASSERT_NO_FATAL_FAILURE(open(std::move(floor), 1, kRays));
   const SeenPatches seen = lookFrom(world_->tracer(), {{2, 5, 2.001f}, {2, 0, 2}}, 160, 100, 1);
   EXPECT_EQ(seen.distinct().size(), world_->patches().size());
   std::vector<float> errors;
@@ -79,7 +61,7 @@ TEST_F(HeatPicture, ColoursPatchesByTheirError) {
 }
 
 TEST_F(HeatPicture, StandsInTheRoomAndSeesThePatch) {
-  open(sceneOf(tools::twoRooms(0.5f, 0.6f, 10)), 0.5f);
+  ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::twoRooms(0.5f, 0.6f, 10)), 0.5f, kRays));
   for (uint32_t p = 0; p < world_->patches().size(); p += 7) {
     const formats::Node& n = world_->patches()[p];
     const Viewpoint v = viewpointOf(*world_, p, {2, 1.5f, 2});
@@ -95,7 +77,7 @@ TEST_F(HeatPicture, StandsInTheRoomAndSeesThePatch) {
 
 // A constant for all that is far is wrong where the light falls off along a corridor, more at one place than at another.
 TEST_F(HeatPicture, TheWorstPlaceIsThatWithTheLargestError) {
-  open(sceneOf(tools::corridor(0.7f, 10)), 0.5f);
+  ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::corridor(0.7f, 10)), 0.5f, kRays));
   const std::vector<Place> places{{{2, 1, 1}, {}, 1.5f}, {{10, 1, 1}, {}, 1.5f}, {{18, 1, 1}, {}, 1.5f}};
   world_->lookAt(places, 60);
   const std::vector<Lighting> lights{{.name = "lamp", .sky = {}, .sun = {}, .lamps = 1}};
@@ -103,7 +85,7 @@ TEST_F(HeatPicture, TheWorstPlaceIsThatWithTheLargestError) {
   few.radius_m = 3;
   few.pyramid = false;
   const WorstPlaces options{.most = 2, .paths = 20000};
-  const auto pictures = worstPlaces(*world_, places, lights, few, {.paths = 256}, folder_, options);
+  const auto pictures = worstPlaces(*world_, places, lights, few, {.paths = 256}, folder_.path(), options);
   ASSERT_TRUE(pictures) << pictures.error().line();
   ASSERT_EQ(pictures->size(), 2u);
   auto cut = RunningCut::create(*world_, few);
@@ -115,9 +97,7 @@ TEST_F(HeatPicture, TheWorstPlaceIsThatWithTheLargestError) {
     ASSERT_TRUE(cut->moveTo(places[i].observer));
     ASSERT_TRUE(cut->setLight(**lit));
     ASSERT_TRUE(cut->settle());
-    std::vector<uint32_t> patches;
-    for (const uint32_t n : world_->ofPlace(i)) patches.push_back(world_->lookedAt()[n]);
-    const auto got = cut->reflected(**lit, patches);
+    const auto got = cut->reflected(**lit, world_->patchesOf(i));
     ASSERT_TRUE(got) << got.error().line();
     Comparison comparison;
     comparison.addPlace(*world_, **lit, world_->ofPlace(i), *got);
@@ -129,14 +109,14 @@ TEST_F(HeatPicture, TheWorstPlaceIsThatWithTheLargestError) {
   EXPECT_NE((*pictures)[0].note.find(ranked[0].second), std::string::npos) << (*pictures)[0].note;
   EXPECT_NE((*pictures)[1].note.find(ranked[1].second), std::string::npos) << (*pictures)[1].note;
   for (const Illustration& p : *pictures) {
-    EXPECT_GT(std::filesystem::file_size(folder_ + "/" + p.file), 1000u);
-    std::ifstream file(folder_ + "/" + p.file, std::ios::binary);
+    EXPECT_GT(std::filesystem::file_size(folder_.file(p.file)), 1000u);
+    std::ifstream file(folder_.file(p.file), std::ios::binary);
     char head[24] = {};
     file.read(head, sizeof head);
     EXPECT_EQ(std::string(head + 1, 3), "PNG");
     EXPECT_EQ(static_cast<unsigned char>(head[18]) * 256 + static_cast<unsigned char>(head[19]), 1280) << "two of 640";
   }
-  const auto other = worstPlaces(*world_, std::span(places).first(1), lights, few, {.paths = 64}, folder_, options);
+  const auto other = worstPlaces(*world_, std::span(places).first(1), lights, few, {.paths = 64}, folder_.path(), options);
   ASSERT_FALSE(other);
   EXPECT_EQ(other.error().code, ErrorCode::kUsage);
 }

@@ -5,9 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 
 #include "tests/bake/analytic_scenes.h"
+#include "tests/tools/chart_world.h"
 
 namespace ff::chart {
 namespace {
@@ -28,29 +28,14 @@ bake::Scene roomWithLamp() {
   return s;
 }
 
-class TemporalInARoom : public testing::Test {
+class TemporalInARoom : public InABakedScene {
  protected:
   void SetUp() override {
-    folder_ = testing::TempDir() + "chart_temporal_XXXXXX";
-    ASSERT_TRUE(mkdtemp(folder_.data()));
-    scene_ = roomWithLamp();
-    const std::string path = folder_ + "/world.ffm";
-    ASSERT_TRUE(bake::bakeWorld(scene_, {.cell_m = 0.5f, .rays = 256, .threads = 1}, path));
-    auto opened = MeasuredWorld::open(scene_, path);
-    ASSERT_TRUE(opened) << opened.error().line();
-    world_ = std::make_unique<MeasuredWorld>(std::move(*opened));
+    ASSERT_NO_FATAL_FAILURE(open(roomWithLamp(), 0.5f, 256));
     options_.standard.radius_m = 6;
     options_.quick = true;
   }
-  void TearDown() override {
-    world_.reset();
-    std::error_code ignored;
-    std::filesystem::remove_all(folder_, ignored);
-  }
 
-  bake::Scene scene_;
-  std::string folder_;
-  std::unique_ptr<MeasuredWorld> world_;
   TemporalOptions options_;
   const Place place_{{2, 1.5f, 2}, {}, 5};
   const Lighting sun_{.name = "sun and sky", .sky = {{1, 1.2f, 1.5f}, {}}, .to_sun = normalized({-0.5f, 1, 0.1f}),

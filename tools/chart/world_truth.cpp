@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "runtime/full_solve.h"
+#include "tools/chart/outside.h"
 #include "tools/chart/sun_light.h"
 
 namespace ff::chart {
@@ -38,13 +39,10 @@ Result<WorldTruth> solveWorldTruth(const formats::World& world, bool lamps) {
 }
 
 float localRadius(const WorldTruth& truth, std::span<const stream::StripPtr> active, Vec3 observer) {
-  std::vector<bool> in(truth.patches.size(), false);
-  for (const auto& strip : active)
-    if (strip->id.level == 0) in[strip->id.tile] = true;
+  const Outside outside(truth.areas_m2.size(), active);
   float radius = 1e30f;
   for (const formats::Strip& strip : truth.patches)
-    for (const formats::Node& node : strip.nodes)
-      if (!in[strip.id.tile]) radius = std::min(radius, length(node.centroid - observer));
+    radius = std::min(radius, outside.distance(observer, strip.nodes, strip.first_node));
   return radius;
 }
 
@@ -72,17 +70,7 @@ Difference compare(const WorldTruth& truth, const LocalMatrix& matrix, std::span
 }
 
 Vec4 meanOutside(const WorldTruth& truth, const LocalMatrix& matrix) {
-  std::vector<bool> inside(truth.areas_m2.size(), false);
-  for (const SlotRange& range : matrix.tiles)
-    if (range.id.level == 0) std::fill_n(inside.begin() + range.first_node, range.nodes, true);
-  double area = 0, sum[3] = {0, 0, 0};
-  for (size_t i = 0; i < inside.size(); ++i) {
-    if (inside[i]) continue;
-    area += static_cast<double>(truth.areas_m2[i]);
-    for (size_t c = 0; c < 3; ++c) sum[c] += static_cast<double>(truth.areas_m2[i]) * truth.radiosity[3 * i + c];
-  }
-  if (area == 0) return {};
-  return {static_cast<float>(sum[0] / area), static_cast<float>(sum[1] / area), static_cast<float>(sum[2] / area), 0};
+  return Outside(truth.areas_m2.size(), matrix.tiles).meanRadiosity(truth.areas_m2, truth.radiosity);
 }
 
 std::vector<Vec4> sourceOf(const WorldTruth& truth, const formats::World& world, const LocalMatrix& matrix,

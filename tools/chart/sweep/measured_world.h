@@ -34,6 +34,7 @@ class MeasuredWorld {
 
   const formats::World& world() const { return *world_; }
   const std::vector<formats::Node>& patches() const { return nodes_; }
+  const std::vector<float>& areasM2() const { return areas_m2_; }  // by patch
   const PathTracer& tracer() const { return *tracer_; }
   uint64_t rowBytes() const;  // of all levels on disk
 

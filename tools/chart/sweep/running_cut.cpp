@@ -4,10 +4,12 @@
 #include <chrono>
 #include <cmath>
 
+#include "runtime/converge.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"
 #include "runtime/updater.h"
+#include "tools/chart/outside.h"
 
 namespace ff::chart {
 namespace {
@@ -63,7 +65,6 @@ Result<void> RunningCut::moveTo(Vec3 observer) {
 Result<void> RunningCut::setLight(const LitWorld& light) {
   const LocalMatrix& m = assembler_->matrix();
   source_.assign(m.slots(), {});
-  std::vector<bool> inside(world_->patches().size(), false);
   for (size_t t = 0; t < m.tiles.size(); ++t) {
     const SlotRange& range = m.tiles[t];
     const std::span<const Vec3> sun = light.sun.tile(world_->world(), range.id),
@@ -72,44 +73,19 @@ Result<void> RunningCut::setLight(const LitWorld& light) {
       const formats::Node& node = assembler_->strip(t).nodes[i];
       const Vec3 b = lamps[i] + node.albedo * (sun[i] + skyIrradiance(light.light.sky, node));
       source_[range.first_slot + i] = {b.x, b.y, b.z, 0};
-      if (range.id.level == 0) inside[range.first_node + i] = true;
     }
   }
-  if (m.ambient_slot != kNoSlot) {
-    double area = 0, sum[3] = {0, 0, 0};
-    for (size_t p = 0; p < inside.size(); ++p) {
-      if (inside[p]) continue;
-      const auto a = static_cast<double>(world_->patches()[p].area_m2);
-      area += a;
-      for (size_t c = 0; c < 3; ++c) sum[c] += a * light.full[3 * p + c];
-    }
-    const auto mean = [&](int c) { return area > 0 ? static_cast<float>(sum[c] / area) : 0.0f; };
-    source_[m.ambient_slot] = {mean(0), mean(1), mean(2), 0};
-  }
+  if (m.ambient_slot != kNoSlot)
+    source_[m.ambient_slot] = Outside(world_->patches().size(), m.tiles).meanRadiosity(world_->areasM2(), light.full);
   return solver_->setSource(source_);
 }
 
 Result<void> RunningCut::step(int k) { return solver_->iterate(k); }
 
-Result<int> RunningCut::settle(int most) {
-  constexpr int kBatch = 8;
+Result<int> RunningCut::settle() {
   before_.resize(source_.size());
   radiosity_.resize(source_.size());
-  for (int done = 0; done < most;) {
-    if (auto r = solver_->iterate(isDense(knobs_.method) ? 1 : kBatch - 1); !r) return r.error();
-    if (auto r = solver_->radiosity(before_); !r) return r.error();
-    if (auto r = solver_->iterate(1); !r) return r.error();
-    if (auto r = solver_->radiosity(radiosity_); !r) return r.error();
-    done += isDense(knobs_.method) ? 2 : kBatch;
-    float change = 0, largest = 0;
-    for (size_t s = 0; s < radiosity_.size(); ++s) {
-      const Vec4 a = before_[s], b = radiosity_[s];
-      change = std::max({change, std::abs(b.x - a.x), std::abs(b.y - a.y), std::abs(b.z - a.z)});
-      largest = std::max({largest, std::abs(b.x), std::abs(b.y), std::abs(b.z)});
-    }
-    if (!(change > 1e-5f * largest)) return done;  // also where nothing is finite: that shows in the figures
-  }
-  return most;
+  return converge(*solver_, {.fewest = isDense(knobs_.method) ? 2 : Convergence{}.fewest}, radiosity_, before_);
 }
 
 Result<std::vector<double>> RunningCut::reflected(const LitWorld& light, std::span<const uint32_t> patches) {
@@ -197,13 +173,7 @@ void RunningCut::measureMemory(CutCost& cost) const {
 }
 
 float RunningCut::localRadius() const {
-  std::vector<bool> in(world_->patches().size(), false);
-  for (const SlotRange& range : assembler_->matrix().tiles)
-    if (range.id.level == 0) std::fill_n(in.begin() + range.first_node, range.nodes, true);
-  float radius = 1e30f;
-  for (size_t p = 0; p < in.size(); ++p)
-    if (!in[p]) radius = std::min(radius, length(world_->patches()[p].centroid - observer_));
-  return radius;
+  return Outside(world_->patches().size(), assembler_->matrix().tiles).distance(observer_, world_->patches());
 }
 
 }  // namespace ff::chart

@@ -29,8 +29,8 @@ class RunningCut {
   Result<void> moveTo(Vec3 observer);
   // Light for the slots; for FarLight::kConstant, the best constant there is: the mean of what is outside.
   Result<void> setLight(const LitWorld& light);
-  // Steps of the solver: until a step changes nothing above 1e-5 of the largest radiosity, or `most`; returns how many.
-  Result<int> settle(int most = 4000);
+  // Steps of the solver as Updater::converge() takes them (runtime/converge.h); returns how many.
+  Result<int> settle();
   Result<void> step(int k);
   // Reflected radiosity of patches (level-0 node numbers), 3 each. One that is not active takes its nearest active
   // ancestor's irradiance on its own albedo, as the viewer draws it.

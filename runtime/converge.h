@@ -1,0 +1,20 @@
+// A solver's steps until its light has settled.
+#pragma once
+#include <span>
+
+#include "runtime/solver.h"
+
+namespace ff::runtime {
+
+struct Convergence {
+  float tolerance = 1e-5f;    // of the largest radiosity
+  int max_iterations = 4000;
+  int fewest = 8;             // steps before the first look; a solver whose step takes in all bounces needs no more than 2
+};
+
+// Lets the solver approach() its solution until one step more changes no channel by more than the tolerance, or
+// max_iterations are done; returns how many were. Light that is not finite counts as settled. radiosity, before: one value
+// a slot; the former is the last step's, the latter that of the step before.
+Result<int> converge(Solver& solver, const Convergence& until, std::span<Vec4> radiosity, std::span<Vec4> before);
+
+}  // namespace ff::runtime
