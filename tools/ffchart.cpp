@@ -62,6 +62,11 @@ std::string percent(const chart::Figure& f) {
   return std::isfinite(f.error) ? fmt::format("{:.2f} ± {:.2f} %", 100 * f.value, 100 * f.error) : fmt::format("{:.2f} %", 100 * f.value);
 }
 
+std::string observersOf(const chart::Sweep& sweep) {
+  const size_t all = sweep.placesOfAll(), own = sweep.places.size() - all;
+  return fmt::format("{} observers", all) + (own > 0 ? fmt::format(", for {} at {} of its own", sweep.places.back().in_light, own) : "");
+}
+
 chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
   chart::Report r;
   const formats::World& world = sweep.world->world();
@@ -82,7 +87,7 @@ chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
                                      return noise;
                                    }())},
              {"error", "relative L2 of reflected radiosity over the surface within half the local radius of the default, at " +
-                           std::to_string(sweep.places.size()) + " observers; ± is the jackknife's over observers"},
+                           observersOf(sweep) + "; ± is the jackknife's over observers"},
              {"machine", fmt::format("{} threads, CPU solvers", std::thread::hardware_concurrency())},
              {"seed", std::to_string(o.sweep.seed)}};
   return r;
@@ -120,7 +125,7 @@ Result<void> addLag(chart::Report& r, const Options& o, chart::Sweep& sweep) {
   if (!lit) return lit.error();
   size_t best = 0;
   double most = -1;
-  for (size_t at = 0; at < sweep.places.size(); ++at) {
+  for (size_t at = 0; at < sweep.placesOfAll(); ++at) {
     double light = 0;
     for (const uint32_t number : sweep.world->ofPlace(at)) {
       const Vec3 b = (*lit)->traced[number].reflected;

@@ -47,7 +47,7 @@ Result<void> measure(const Options& o, const std::string& name, const std::strin
   const auto swept = chart::runSweep(sweep, [](const std::string& line) { std::cerr << line << "\n"; });
   if (!swept) return swept.error();
   const std::string where =
-      fmt::format("{} patches, {} observers, reflected radiosity by area against path tracing", swept->world->patches().size(), swept->places.size());
+      fmt::format("{} patches, {} observers, reflected radiosity by area against path tracing", swept->world->patches().size(), swept->placesOfAll());
   for (size_t l = 0; l < swept->lights.size(); ++l) {
     const chart::Accuracy& a = swept->settings.front().accuracy[l];
     const std::string note = fmt::format("{}; against the full solve {:.4f}, energy {:+.4f}, tracer's own noise {:.4f} (taken off)", where,

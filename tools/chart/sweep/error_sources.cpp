@@ -44,6 +44,7 @@ Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* 
     Comparison total, exact;  // the default; with reference rows and a full solve
     std::vector<double> rows, more_steps, sun, truth;
     for (size_t at = 0; at < sweep.places.size(); ++at) {
+      if (!isSeen(sweep.places, at, sweep.lights[l])) continue;
       const std::vector<uint32_t> patches = world.patchesOf(at);
       if (auto moved = cut->moveTo(sweep.places[at].observer); !moved) return moved;
       if (auto set = cut->setLight(**lit); !set) return set;
@@ -83,7 +84,7 @@ Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* 
       truth.push_back(power);
     }
     const Accuracy all = total.accuracy(""), floor = exact.accuracy("");
-    ErrorSources split{sweep.lights[l].name, sweep.places.size(), {}};
+    ErrorSources split{sweep.lights[l].name, truth.size(), {}};
     const auto source = [&](const std::string& name, const Figure& error, const std::string& measured_as) {
       split.sources.push_back({name, error, measured_as});
     };

@@ -92,6 +92,7 @@ class PlaceErrors {
       Worst here;
       bool any = false;
       for (size_t l = 0; l < lights_.size(); ++l) {
+        if (!isSeen(places_, at, lights_[l])) continue;
         const auto w = judge(at, l, chosen);
         if (!w) return w.error();
         if (!std::isfinite(w->rel_l2) || (any && w->rel_l2 <= here.rel_l2)) continue;

@@ -7,6 +7,11 @@
 
 namespace ff::chart {
 
+bool isSeen(std::span<const Place> places, size_t at, const Lighting& light) {
+  const bool own = std::any_of(places.begin(), places.end(), [&](const Place& p) { return p.in_light == light.name; });
+  return places[at].in_light == (own ? light.name : "");
+}
+
 Result<MeasuredWorld> MeasuredWorld::open(const bake::Scene& scene, const std::string& path) {
   auto world = formats::World::open(path);
   if (!world) return world.error();
@@ -38,8 +43,16 @@ void MeasuredWorld::lookAt(std::span<const Place> places, uint32_t most) {
   std::vector<uint32_t> number(nodes_.size(), bake::kNone), near;
   for (size_t at = 0; at < places.size(); ++at) {
     near.clear();
-    for (uint32_t p = 0; p < nodes_.size(); ++p)
-      if (length(nodes_[p].centroid - places[at].observer) <= places[at].reach_m) near.push_back(p);
+    const Place& place = places[at];
+    uint32_t nearest = bake::kNone;
+    float distance = place.reach_m;
+    for (uint32_t p = 0; p < nodes_.size(); ++p) {
+      const float d = length(nodes_[p].centroid - place.observer);
+      if (d > place.reach_m) continue;
+      if (place.within.distance(nodes_[p].centroid) == 0) near.push_back(p);
+      if (nearest == bake::kNone || d < distance) nearest = p, distance = d;
+    }
+    if (near.empty() && nearest != bake::kNone) near.push_back(nearest);
     const size_t count = std::min<size_t>(most, near.size());
     for (size_t k = 0; k < count; ++k) {
       const uint32_t patch = near[near.size() * (2 * k + 1) / (2 * count)];
@@ -50,7 +63,8 @@ void MeasuredWorld::lookAt(std::span<const Place> places, uint32_t most) {
       of_place_[at].push_back(number[patch]);
     }
   }
-  lit_.clear();
+  for (auto& [key, lit] : lit_)
+    if (lit) lit->traced.clear();
 }
 
 LitWorld MeasuredWorld::direct(const Lighting& light, uint32_t shadow_rays) const {

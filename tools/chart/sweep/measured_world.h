@@ -2,6 +2,7 @@
 #pragma once
 #include <map>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -12,11 +13,16 @@
 
 namespace ff::chart {
 
-// Where the light is looked at: the patches within reach of an observer.
+// Where the light is looked at: the patches within reach of an observer, and within a box if there is one.
 struct Place {
   Vec3 observer, velocity;  // m, m/s
   float reach_m = 0;
+  std::string in_light{};  // looked at in the light of that name alone; empty: in all that have no places of their own
+  Box within{{-1e30f, -1e30f, -1e30f}, {1e30f, 1e30f, 1e30f}};  // m
 };
+
+// Whether a light is looked at from a place.
+bool isSeen(std::span<const Place> places, size_t at, const Lighting& light);
 
 // One light situation of one world.
 struct LitWorld {
@@ -38,7 +44,8 @@ class MeasuredWorld {
   const PathTracer& tracer() const { return *tracer_; }
   uint64_t rowBytes() const;  // of all levels on disk
 
-  // Which patches are looked at: up to `most` of those within reach of each place.
+  // Which patches are looked at: up to `most` of those within reach of each place; where patches are so large that
+  // there is none in its box, the one nearest to the observer. What was traced is forgotten.
   void lookAt(std::span<const Place> places, uint32_t most);
   const std::vector<uint32_t>& lookedAt() const { return looked_at_; }
   // Numbers in lookedAt() of the patches of a place.

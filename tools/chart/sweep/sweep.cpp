@@ -142,18 +142,20 @@ class SettingRun {
     s.bake_seconds = bake_seconds;
     auto cut = RunningCut::create(world_, k);
     if (!cut) return refused(std::move(s), cut.error());
-    const size_t places = sweep_.places.size();
+    const size_t places = sweep_.placesOfAll();
     std::vector<Comparison> comparisons(sweep_.lights.size());
     CutCost cost;
     std::vector<double> memory, nodes, patches;
-    for (size_t at = 0; at < places; ++at) {
+    for (size_t at = 0; at < sweep_.places.size(); ++at) {
       const Place& place = sweep_.places[at];
       // The observer has gone on while the cut has not followed yet.
       const Vec3 behind = place.observer - place.velocity * (static_cast<float>(k.every - 1) / 60.0f);
       if (auto moved = cut->moveTo(behind); !moved) return refused(std::move(s), moved.error());
       for (size_t l = 0; l < sweep_.lights.size(); ++l) {
+        if (!isSeen(sweep_.places, at, sweep_.lights[l])) continue;
         if (auto compared = compare(*cut, k, at, sweep_.lights[l], comparisons[l]); !compared) return compared.error();
       }
+      if (at >= places) continue;  // what it costs is what it costs where anyone would stand
       cut->measureMemory(cost);
       memory.push_back(cost.memory_bytes);
       nodes.push_back(cost.active_nodes);
@@ -250,6 +252,12 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   if (!places) return places.error();
   sweep.places = std::move(*places);
   sweep.lights = lightsOf(options, *sweep.world, sweep.places, say);
+  for (const Lighting& light : sweep.lights) {
+    if (light.name != kOneRoomLit) continue;
+    const auto own = placesInLight(light, *sweep.world, sweep.standard);
+    if (!own) return own.error();
+    sweep.places.insert(sweep.places.end(), own->begin(), own->end());
+  }
 
   std::vector<Varied> all = settingsToTry(sweep.standard, options.quick);
   if (options.only_default) all.resize(1);

@@ -1,5 +1,6 @@
 // The sweep: bakes and runs a scene at many settings, one knob at a time, and compares each with the truth.
 #pragma once
+#include <algorithm>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -10,6 +11,8 @@
 #include "tools/chart/sweep/measured_world.h"
 
 namespace ff::chart {
+
+inline constexpr const char* kOneRoomLit = "one room lit";
 
 struct SweepOptions {
   std::string scene_path;
@@ -23,7 +26,8 @@ struct SweepOptions {
   std::vector<Place> path;                // observers; reach is filled in by the sweep. Empty: spread over the surface
   int observers = 12;                     // if the path is empty
   std::vector<Lighting> lights;           // to be path traced; at least one. One of lamps is left out where there are none, and
-                                          // followed by one of the lamps nearest to an observer alone
+                                          // followed by one of the lamps nearest to an observer alone: kOneRoomLit, looked at
+                                          // from places of its own
   uint64_t seed = 1;
 };
 
@@ -33,7 +37,7 @@ using Say = std::function<void(const std::string&)>;
 // Everything the sweep keeps for the charts that come after it.
 struct Sweep {
   std::unique_ptr<const bake::Scene> scene;  // the tracer keeps its address
-  std::vector<Place> places;
+  std::vector<Place> places;              // first those of all lights, then those of one alone
   std::vector<Lighting> lights;
   Knobs standard;
   std::vector<Knobs> knobs;               // by setting
@@ -42,6 +46,10 @@ struct Sweep {
   std::unique_ptr<MeasuredWorld> world;   // the default's
   std::string world_path;                 // of the default
   std::vector<double> tracer_noise;       // by light, relative
+
+  size_t placesOfAll() const {
+    return static_cast<size_t>(std::count_if(places.begin(), places.end(), [](const Place& p) { return p.in_light.empty(); }));
+  }
 };
 
 // Errors: those of import, bake and reading.
