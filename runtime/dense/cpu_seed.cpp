@@ -1,108 +1,48 @@
 #include "runtime/dense/cpu_seed.h"
 
 #include <algorithm>
-#include <chrono>
-#include <cmath>
-#include <cstring>
-#include <string>
 #include <vector>
 
-#include "runtime/dense/page_memory.h"
-#include "runtime/dense/places.h"
+#include "runtime/dense/cpu_baseline.h"
 #include "runtime/dense/seed_kernels.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 constexpr uint32_t kColumns = 64, kRows = 256, kChunk = 256;  // of a part of a task
-
-double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 
 Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
 Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 Half4 toHalf4(const Vec4& v) { return {toHalf(v.x), toHalf(v.y), toHalf(v.z), {}}; }
 
-class CpuSeed final : public BounceMatrix {
+class CpuSeed final : public CpuBaseline<Half4> {
  public:
-  explicit CpuSeed(const MultibounceSettings& settings)
-      : places_(settings.places),
-        rows_((settings.places + 7) / 8 * 8),
-        stride_(rows_ + 8),  // no power of two: columns would share the same few sets of the caches
-        pool_(settings.threads),
-        matrix_(stride_ * rows_) {
-    for (auto* v : {&colour_, &f_col_, &f_row_, &g_col_, &g_row_, &weighted_, &col_, &row_}) v->assign(rows_, {});
+  explicit CpuSeed(const MultibounceSettings& settings) : CpuBaseline(settings, 8), pool_(settings.threads) {
+    for (auto* v : {&f_col_, &f_row_, &g_col_, &g_row_, &weighted_, &col_, &row_}) v->assign(rows_, {});
     partial_.assign(size_t{(rows_ + kChunk - 1) / kChunk} * rows_, {});
   }
-
-  bool allocated() const { return static_cast<bool>(matrix_); }
-  uint32_t capacity() const override { return places_.capacity(); }
-  uint64_t bytes() const override { return uint64_t{stride_} * rows_ * sizeof(Half4); }
-  BounceStats stats() const override { return stats_; }
   const char* name() const override { return "seed cpu"; }
 
-  Result<void> insert(const EnteringBlock& block) override {
-    const auto start = Clock::now();
-    if (!hasValidFormFactors(block))
-      return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
-    for (uint32_t r = 0; r < block.places.size(); ++r) enter(block, r);
-    stats_.entered += block.places.size();
-    stats_.last_update_ms = msSince(start);
-    return {};
-  }
-
-  // "Delete operation is implemented by zeroing the row and column of the matrix".
-  Result<void> remove(std::span<const uint32_t> places) override {
-    const auto start = Clock::now();
-    for (const uint32_t p : places) {
-      zeroPlace(matrix_.data(), stride_, places_.used(), p);
-      colour_[p] = {};
-      places_.give(p);
-    }
-    stats_.left += places.size();
-    stats_.last_update_ms = msSince(start);
-    return {};
-  }
-
-  Result<void> clear() override {
-    std::memset(static_cast<void*>(matrix_.data()), 0, size_t{stride_} * places_.used() * sizeof(Half4));
-    std::fill(colour_.begin(), colour_.end(), Vec4{});
-    places_.clear();
-    return {};
-  }
-
-  Result<uint32_t> advance(uint32_t) override { return 0u; }
-
-  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override {
-    const auto start = Clock::now();
-    places_.checkLight(source, irradiance);
+ private:
+  void light(std::span<const Vec4> source, std::span<Vec4> irradiance) override {
     for (uint32_t j = 0; j < places_.used(); ++j) weighted_[j] = places_.taken(j) ? source[j] : Vec4{};
     multiply(weighted_, col_);
     std::copy_n(col_.begin(), places_.used(), irradiance.begin());
     std::fill(irradiance.begin() + places_.used(), irradiance.end(), Vec4{});
-    stats_.last_relight_ms = msSince(start);
-    return {};
   }
 
-  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
-                              std::span<Vec4> irradiance) override {
-    const auto start = Clock::now();
-    places_.checkChange(places, difference, irradiance);
+  void addLight(std::span<const uint32_t> places, std::span<const Vec4> difference, std::span<Vec4> irradiance) override {
     std::fill_n(col_.begin(), usedRows(), Vec4{});
     pool_.run((usedRows() + kRows - 1) / kRows, [&](uint32_t part) {
       const uint32_t begin = part * kRows, end = std::min(begin + kRows, usedRows());
       for (size_t i = 0; i < places.size(); ++i)
         if (places_.taken(places[i]))
-          kernels_.multiply(matrix_.data() + places[i] * stride_, stride_, begin, end, 1, &difference[i], col_.data());
+          kernels_.multiply(column(places[i]), stride_, begin, end, 1, &difference[i], col_.data());
     });
     for (uint32_t i = 0; i < places_.used(); ++i) irradiance[i] = irradiance[i] + col_[i];
-    stats_.last_relight_ms = msSince(start);
-    return {};
   }
 
- private:
   uint32_t usedRows() const { return (places_.used() + 7) / 8 * 8; }
 
   // out = F_local factor.
@@ -113,7 +53,7 @@ class CpuSeed final : public BounceMatrix {
       const uint32_t first = chunk * kChunk;
       Vec4* sum = partial_.data() + size_t{chunk} * rows_;
       std::fill_n(sum, rows, Vec4{});
-      kernels_.multiply(matrix_.data() + first * stride_, stride_, 0, rows, std::min(kChunk, places_.used() - first),
+      kernels_.multiply(column(first), stride_, 0, rows, std::min(kChunk, places_.used() - first),
                         &factor[first], sum);
     });
     pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
@@ -125,9 +65,8 @@ class CpuSeed final : public BounceMatrix {
   }
 
   // Equations (1) to (5), and the six shaders, in their order.
-  void enter(const EnteringBlock& block, uint32_t r) {
+  void enter(const EnteringBlock& block, uint32_t r) override {
     const uint32_t p = block.places[r];
-    places_.take(p);
     const uint32_t rows = usedRows();
     std::fill_n(f_col_.begin(), rows, Vec4{});
     std::fill_n(f_row_.begin(), rows, Vec4{});
@@ -164,32 +103,22 @@ class CpuSeed final : public BounceMatrix {
                         col_.data(), weighted_.data());
     });
     for (uint32_t i = 0; i < places_.used(); ++i) {  // (6)
-      matrix_.data()[p * stride_ + i] = toHalf4(col_[i]);
-      matrix_.data()[i * stride_ + p] = toHalf4(row_[i]);
+      column(p)[i] = toHalf4(col_[i]);
+      column(i)[p] = toHalf4(row_[i]);
     }
-    matrix_.data()[p * stride_ + p] = toHalf4(twice);
-    colour_[p] = rho;
+    column(p)[p] = toHalf4(twice);
   }
 
-  Places places_;
-  uint32_t rows_;
-  size_t stride_;
   WorkerPool pool_;
   SeedKernels kernels_ = seedKernels();
-  PageMemory<Half4> matrix_;
-  std::vector<Vec4> colour_;  // per place, 0 where free
   std::vector<Vec4> f_col_, f_row_, g_col_, g_row_, weighted_, col_, row_;
   std::vector<Vec4> partial_;  // per chunk of columns: a sum of all rows
-  BounceStats stats_;
 };
 
 }  // namespace
 
 Result<std::unique_ptr<BounceMatrix>> makeCpuSeed(const MultibounceSettings& settings) {
-  if (auto sound = checkPlaces(settings.places); !sound) return sound.error();
-  auto matrix = std::make_unique<CpuSeed>(settings);
-  if (!matrix->allocated()) return tooLittleMemory(settings.places, "ask for fewer places");
-  return std::unique_ptr<BounceMatrix>(std::move(matrix));
+  return makeCpuBaseline<CpuSeed>("ask for fewer places", settings);
 }
 
 }  // namespace ff::runtime

@@ -59,6 +59,12 @@ void zeroPlace(Element* matrix, size_t column_stride, uint32_t used, uint32_t pl
   for (uint32_t column = 0; column < used; ++column) matrix[column * column_stride + place] = Element{};
 }
 
+// Errors (kInvalidFile): a form factor that is none.
+inline Result<void> checkFormFactors(const EnteringBlock& block) {
+  if (hasValidFormFactors(block)) return {};
+  return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+}
+
 // Errors (kUsage): a number of places that no matrix has.
 inline Result<void> checkPlaces(uint32_t places) {
   if (places > 0 && places <= kMaxSlots) return {};

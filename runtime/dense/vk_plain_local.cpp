@@ -2,11 +2,9 @@
 // the luminance matrix with a mean albedo of zero: what is multiplied next is M + C E.
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <cstring>
 #include <string>
 #include <utility>
-#include <vector>
 
 #include "bounce_relight_luminance_comp.h"
 #include "bounce_relight_luminance_half_comp.h"
@@ -14,45 +12,35 @@
 #include "plain_delete_half_comp.h"
 #include "plain_scatter_comp.h"
 #include "plain_scatter_half_comp.h"
-#include "runtime/dense/places.h"
+#include "runtime/dense/vk_baseline.h"
 #include "runtime/dense/vk_seed.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
-#include "runtime/vk_pipeline.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kBuffers = 6;  // bindings of bounce.glsl
-
-
-class VulkanPlainLocal final : public BounceMatrix {
+class VulkanPlainLocal final : public VulkanBaseline {
  public:
   VulkanPlainLocal(std::shared_ptr<VkContext> context, const MultibounceSettings& settings, int bounces)
-      : context_(std::move(context)),
+      : VulkanBaseline(std::move(context), settings.places,
+                       "plain local vulkan, " + std::to_string(bounces) + " products, " +
+                           (settings.storage == Storage::kFloat16 ? "fp16" : "fp32")),
         places_(settings.places),
         stride_(roundUp(settings.places, shaders::kBounceTile)),
         half_(settings.storage == Storage::kFloat16),
-        bounces_(bounces),
-        seats_(settings.places),
-        name_("plain local vulkan, " + std::to_string(bounces) + " products, " + (half_ ? "fp16: " : "fp32: ") +
-              context_->deviceName()) {}
+        bounces_(bounces) {}
   Result<void> start();
 
-  uint32_t capacity() const override { return places_; }
   uint64_t bytes() const override { return uint64_t{stride_} * stride_ * (half_ ? 2 : 4); }
-  BounceStats stats() const override { return stats_; }
-  const char* name() const override { return name_.c_str(); }
-  Result<void> insert(const EnteringBlock& block) override;
   Result<void> remove(std::span<const uint32_t> places) override;
   Result<void> clear() override;
-  Result<uint32_t> advance(uint32_t) override { return 0u; }
-  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override;
-  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
-                              std::span<Vec4> irradiance) override;
 
  private:
+  Result<void> enter(const EnteringBlock& block) override;
+  void clearLight() override { std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float)); }
+  void putLight(uint32_t place, const Vec4& light) override;
+  Result<void> multiply() override;
+  void addIrradiance(std::span<Vec4> irradiance) const override;
   uint64_t vectorAt(uint32_t channel, uint32_t at) const {  // bytes
     return (uint64_t{channel} * (4 * stride_ + kMaxBlock) + at) * sizeof(float);
   }
@@ -64,63 +52,32 @@ class VulkanPlainLocal final : public BounceMatrix {
     return p;
   }
   Result<void> recordBlock(const ComputePipeline& pipeline, const shaders::BouncePush& push, uint32_t groups, uint64_t words);
-  Result<void> multiply();
-  void putLight(uint32_t place, const Vec4& light);
-  void addIrradiance(std::span<Vec4> irradiance) const;
 
-  std::shared_ptr<VkContext> context_;  // first: outlives everything below
   uint32_t places_, stride_;
   bool half_;
   int bounces_;
-  Places seats_;
-  std::string name_;
   ComputePipeline scatter_, delete_, relight_;
-  Buffer matrix_, unused_, block_, albedo_, vectors_, up_, down_;
-  StorageSets sets_;
-  VkDescriptorSet set_ = VK_NULL_HANDLE;
+  Buffer matrix_, unused_, block_, albedo_, vectors_;
   uint32_t used_ = 0;  // multiple of the tile
-  BounceStats stats_;
 };
 
 Result<void> VulkanPlainLocal::start() {
   using Words = std::span<const uint32_t>;
-  const std::pair<ComputePipeline*, Words> pipelines[] = {
+  const WantedPipeline pipelines[] = {
       {&scatter_, half_ ? Words(plain_scatter_half_comp) : Words(plain_scatter_comp)},
       {&delete_, half_ ? Words(plain_delete_half_comp) : Words(plain_delete_comp)},
       {&relight_, half_ ? Words(bounce_relight_luminance_half_comp) : Words(bounce_relight_luminance_comp)}};
-  for (const auto& [pipeline, words] : pipelines) {
-    auto made = ComputePipeline::create(*context_, words, kBuffers, sizeof(shaders::BouncePush));
-    if (!made) return made.error();
-    *pipeline = std::move(*made);
-  }
   const uint64_t block_bytes = (shaders::kBlockIndex + stride_ + uint64_t{4} * kMaxBlock * stride_) * sizeof(uint32_t);
   const uint64_t vector_bytes = uint64_t{3} * stride_ * sizeof(float);
-  struct Wanted {
-    Buffer* buffer;
-    uint64_t bytes;
-    MemoryUse use;
-  };
-  const Wanted buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
-                            {&unused_, 16, MemoryUse::kDevice},
-                            {&block_, block_bytes, MemoryUse::kDevice},
-                            {&albedo_, uint64_t{4} * stride_ * sizeof(float), MemoryUse::kDevice},
-                            {&vectors_, vectorAt(3, 0), MemoryUse::kDevice},
-                            {&up_, std::max(block_bytes, vector_bytes), MemoryUse::kHost},
-                            {&down_, vector_bytes, MemoryUse::kHost}};
-  for (const Wanted& w : buffers) {
-    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
-    if (!b) return b.error();
-    *w.buffer = std::move(*b);
-  }
-  auto sets = StorageSets::create(*context_, 1, kBuffers);
-  if (!sets) return sets.error();
-  sets_ = std::move(*sets);
-  VkDescriptorBufferInfo bound[kBuffers];
-  const Buffer* const list[kBuffers] = {&matrix_, &unused_, &block_, &albedo_, &vectors_, &unused_};
-  for (uint32_t b = 0; b < kBuffers; ++b) bound[b] = {list[b]->handle(), 0, VK_WHOLE_SIZE};
-  auto set = sets_.make(scatter_.setLayout(), bound);
-  if (!set) return set.error();
-  set_ = *set;
+  const WantedBuffer buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
+                                  {&unused_, 16, MemoryUse::kDevice},
+                                  {&block_, block_bytes, MemoryUse::kDevice},
+                                  {&albedo_, uint64_t{4} * stride_ * sizeof(float), MemoryUse::kDevice},
+                                  {&vectors_, vectorAt(3, 0), MemoryUse::kDevice},
+                                  {&up_, std::max(block_bytes, vector_bytes), MemoryUse::kHost},
+                                  {&down_, vector_bytes, MemoryUse::kHost}};
+  const Buffer* const bound[] = {&matrix_, &unused_, &block_, &albedo_, &vectors_, &unused_};  // bindings of bounce.glsl
+  if (auto made = make(pipelines, sizeof(shaders::BouncePush), buffers, bound); !made) return made;
   return clear();
 }
 
@@ -149,11 +106,8 @@ Result<void> VulkanPlainLocal::recordBlock(const ComputePipeline& pipeline, cons
   return {};
 }
 
-Result<void> VulkanPlainLocal::insert(const EnteringBlock& block) {
-  if (!hasValidFormFactors(block))
-    return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+Result<void> VulkanPlainLocal::enter(const EnteringBlock& block) {
   const auto k = static_cast<uint32_t>(block.places.size());
-  FF_CHECK_LE(k, kMaxBlock);
   FF_CHECK_LE(block.columns.size(), size_t{k} * places_);
   FF_CHECK_LE(block.receivers.size(), size_t{k} * places_);
   auto* words = reinterpret_cast<uint32_t*>(up_.mapped());
@@ -181,9 +135,7 @@ Result<void> VulkanPlainLocal::insert(const EnteringBlock& block) {
     words[at + 1] = std::bit_cast<uint32_t>(block.column_values[e]);
   }
   const uint32_t entries = p.count + static_cast<uint32_t>(block.receivers.size());
-  if (auto r = recordBlock(scatter_, p, groupsOf(std::max(k, entries), shaders::kBounceGroup), at); !r) return r;
-  stats_.entered += k;
-  return {};
+  return recordBlock(scatter_, p, groupsOf(std::max(k, entries), shaders::kBounceGroup), at);
 }
 
 Result<void> VulkanPlainLocal::remove(std::span<const uint32_t> places) {
@@ -199,7 +151,7 @@ Result<void> VulkanPlainLocal::remove(std::span<const uint32_t> places) {
   return {};
 }
 
-// From the light in up_, [channel][place], to irradiance in down_.
+// Light and irradiance: [channel][place].
 Result<void> VulkanPlainLocal::multiply() {
   auto ms = context_->run([&](VkCommandBuffer c) {
     const uint64_t channel_bytes = uint64_t{stride_} * sizeof(float);
@@ -245,30 +197,6 @@ void VulkanPlainLocal::addIrradiance(std::span<Vec4> irradiance) const {
   }
 }
 
-Result<void> VulkanPlainLocal::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
-  seats_.checkLight(source, irradiance);
-  std::fill(irradiance.begin(), irradiance.end(), Vec4{});
-  if (used_ == 0) return {};
-  std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
-  for (uint32_t i = 0; i < places_; ++i)
-    if (seats_.taken(i)) putLight(i, source[i]);
-  if (auto r = multiply(); !r) return r;
-  addIrradiance(irradiance);
-  return {};
-}
-
-Result<void> VulkanPlainLocal::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
-                                              std::span<Vec4> irradiance) {
-  seats_.checkChange(places, difference, irradiance);
-  if (used_ == 0) return {};
-  std::memset(up_.mapped(), 0, uint64_t{3} * stride_ * sizeof(float));
-  for (size_t i = 0; i < places.size(); ++i)
-    if (seats_.taken(places[i])) putLight(places[i], difference[i]);
-  if (auto r = multiply(); !r) return r;
-  addIrradiance(irradiance);
-  return {};
-}
-
 }  // namespace
 
 Result<std::unique_ptr<BounceMatrix>> makeVulkanPlainLocal(std::shared_ptr<VkContext> context,
@@ -276,12 +204,9 @@ Result<std::unique_ptr<BounceMatrix>> makeVulkanPlainLocal(std::shared_ptr<VkCon
   FF_CHECK_LT(0, bounces);
   const uint64_t stride = roundUp(settings.places, shaders::kBounceTile);
   const uint64_t bytes = stride * stride * (settings.storage == Storage::kFloat16 ? 2 : 4);
-  const uint64_t most = context->limits().maxStorageBufferRange;
-  if (settings.places == 0 || bytes > most)
-    return Error{ErrorCode::kUsage, "", "plain local vulkan",
-                 std::to_string(settings.places) + " places: the matrix takes " + std::to_string(bytes >> 20) +
-                     " MiB, the device binds at most " + std::to_string(most >> 20) + " MiB",
-                 "use fewer places, or fp16 storage"};
+  if (auto fits = checkMatrixFits(*context, "plain local vulkan", settings.places, bytes, "use fewer places, or fp16 storage");
+      !fits)
+    return fits.error();
   auto plain = std::make_unique<VulkanPlainLocal>(std::move(context), settings, bounces);
   if (auto r = plain->start(); !r) return r.error();
   return std::unique_ptr<BounceMatrix>(std::move(plain));

@@ -3,15 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <string>
 #include <utility>
-#include <vector>
 
-#include "runtime/dense/places.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
-#include "runtime/vk_pipeline.h"
+#include "runtime/dense/vk_baseline.h"
 #include "seed_column_comp.h"
 #include "seed_delete_comp.h"
 #include "seed_double_comp.h"
@@ -25,79 +20,46 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kBuffers = 3;  // bindings of seed.glsl
 constexpr uint64_t kElementBytes = 8;
 
-class VulkanSeed final : public BounceMatrix {
+class VulkanSeed final : public VulkanBaseline {
  public:
   VulkanSeed(std::shared_ptr<VkContext> context, uint32_t places)
-      : context_(std::move(context)), places_(places), seats_(places) {}
+      : VulkanBaseline(std::move(context), places, "seed vulkan"), places_(places) {}
   Result<void> start();
 
-  uint32_t capacity() const override { return places_; }
   uint64_t bytes() const override { return uint64_t{places_} * places_ * kElementBytes; }
-  BounceStats stats() const override { return stats_; }
-  const char* name() const override { return name_.c_str(); }
-  Result<void> insert(const EnteringBlock& block) override;
   Result<void> remove(std::span<const uint32_t> places) override;
   Result<void> clear() override;
-  Result<uint32_t> advance(uint32_t) override { return 0u; }
-  Result<void> relight(std::span<const Vec4> source, std::span<Vec4> irradiance) override;
-  Result<void> relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
-                              std::span<Vec4> irradiance) override;
 
  private:
+  Result<void> enter(const EnteringBlock& block) override;
+  void clearLight() override { std::fill_n(reinterpret_cast<Vec4*>(up_.mapped()), seats_.used(), Vec4{}); }
+  void putLight(uint32_t place, const Vec4& light) override { reinterpret_cast<Vec4*>(up_.mapped())[place] = light; }
+  Result<void> multiply() override;
+  void addIrradiance(std::span<Vec4> irradiance) const override;
   uint64_t vectorBytes(uint32_t number) const { return uint64_t{number} * places_ * sizeof(Vec4); }
   void formsOf(const EnteringBlock& block, uint32_t r, float* row, float* column);
   void recordPatch(VkCommandBuffer c, const shaders::SeedPush& push) const;
-  Result<void> multiply();
 
-  std::shared_ptr<VkContext> context_;  // first: outlives everything below
   uint32_t places_;
-  std::string name_ = "seed vulkan: " + context_->deviceName();
   ComputePipeline double_, triple_, column_, row_, outer_, write_, delete_, relight_;
-  Buffer matrix_, vectors_, forms_, up_, down_;
-  StorageSets sets_;
-  VkDescriptorSet set_ = VK_NULL_HANDLE;
-  Places seats_;
-  BounceStats stats_;
+  Buffer matrix_, vectors_, forms_;
 };
 
 Result<void> VulkanSeed::start() {
-  const std::pair<ComputePipeline*, std::span<const uint32_t>> pipelines[] = {
-      {&double_, seed_double_comp}, {&triple_, seed_triple_comp}, {&column_, seed_column_comp},
-      {&row_, seed_row_comp},       {&outer_, seed_outer_comp},   {&write_, seed_write_comp},
-      {&delete_, seed_delete_comp}, {&relight_, seed_relight_comp}};
-  for (const auto& [pipeline, words] : pipelines) {
-    auto made = ComputePipeline::create(*context_, words, kBuffers, sizeof(shaders::SeedPush));
-    if (!made) return made.error();
-    *pipeline = std::move(*made);
-  }
+  const WantedPipeline pipelines[] = {{&double_, seed_double_comp}, {&triple_, seed_triple_comp},
+                                      {&column_, seed_column_comp}, {&row_, seed_row_comp},
+                                      {&outer_, seed_outer_comp},   {&write_, seed_write_comp},
+                                      {&delete_, seed_delete_comp}, {&relight_, seed_relight_comp}};
   const uint64_t forms_bytes = uint64_t{2} * kMaxBlock * places_ * sizeof(float);
-  struct Wanted {
-    Buffer* buffer;
-    uint64_t bytes;
-    MemoryUse use;
-  };
-  const Wanted buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
-                            {&vectors_, vectorBytes(shaders::kSeedDouble) + sizeof(Vec4), MemoryUse::kDevice},
-                            {&forms_, forms_bytes, MemoryUse::kDevice},
-                            {&up_, std::max(forms_bytes, vectorBytes(1)), MemoryUse::kHost},
-                            {&down_, vectorBytes(1), MemoryUse::kHost}};
-  for (const Wanted& w : buffers) {
-    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
-    if (!b) return b.error();
-    *w.buffer = std::move(*b);
-  }
-  auto sets = StorageSets::create(*context_, 1, kBuffers);
-  if (!sets) return sets.error();
-  sets_ = std::move(*sets);
-  const VkDescriptorBufferInfo bound[kBuffers] = {{matrix_.handle(), 0, VK_WHOLE_SIZE},
-                                                  {vectors_.handle(), 0, VK_WHOLE_SIZE},
-                                                  {forms_.handle(), 0, VK_WHOLE_SIZE}};
-  auto set = sets_.make(double_.setLayout(), bound);
-  if (!set) return set.error();
-  set_ = *set;
+  const WantedBuffer buffers[] = {{&matrix_, bytes(), MemoryUse::kDevice},
+                                  {&vectors_, vectorBytes(shaders::kSeedDouble) + sizeof(Vec4), MemoryUse::kDevice},
+                                  {&forms_, forms_bytes, MemoryUse::kDevice},
+                                  {&up_, std::max(forms_bytes, vectorBytes(1)), MemoryUse::kHost},
+                                  {&down_, vectorBytes(1), MemoryUse::kHost}};
+  const Buffer* const bound[] = {&matrix_, &vectors_, &forms_};  // bindings of seed.glsl
+  if (auto made = make(pipelines, sizeof(shaders::SeedPush), buffers, bound); !made) return made;
   return clear();
 }
 
@@ -141,11 +103,8 @@ void VulkanSeed::recordPatch(VkCommandBuffer c, const shaders::SeedPush& push) c
   separate(c);
 }
 
-Result<void> VulkanSeed::insert(const EnteringBlock& block) {
-  if (!hasValidFormFactors(block))
-    return Error{ErrorCode::kInvalidFile, "", "", "a form factor is not a finite number >= 0", ""};
+Result<void> VulkanSeed::enter(const EnteringBlock& block) {
   const auto k = static_cast<uint32_t>(block.places.size());
-  FF_CHECK_LE(k, kMaxBlock);
   auto* forms = reinterpret_cast<float*>(up_.mapped());
   std::array<shaders::SeedPush, kMaxBlock> patches;
   for (uint32_t r = 0; r < k; ++r) {
@@ -164,7 +123,6 @@ Result<void> VulkanSeed::insert(const EnteringBlock& block) {
     context_->endTimed(c);
   });
   if (!ms) return ms.error();
-  stats_.entered += k;
   stats_.last_update_ms = context_->timedMs();
   return {};
 }
@@ -189,7 +147,6 @@ Result<void> VulkanSeed::remove(std::span<const uint32_t> places) {
   return {};
 }
 
-// From the light in up_ to irradiance in down_.
 Result<void> VulkanSeed::multiply() {
   const shaders::SeedPush push{places_, seats_.used(), 0, 0, 0, 0, 0};
   const uint32_t rows_a_group = std::max(1u, shaders::kSeedGroup / std::max(1u, context_->subgroupSize()));
@@ -209,48 +166,26 @@ Result<void> VulkanSeed::multiply() {
   return {};
 }
 
-Result<void> VulkanSeed::relight(std::span<const Vec4> source, std::span<Vec4> irradiance) {
-  seats_.checkLight(source, irradiance);
-  std::fill(irradiance.begin(), irradiance.end(), Vec4{});
-  if (seats_.used() == 0) return {};
-  auto* light = reinterpret_cast<Vec4*>(up_.mapped());
-  for (uint32_t j = 0; j < seats_.used(); ++j) light[j] = seats_.taken(j) ? source[j] : Vec4{};
-  if (auto r = multiply(); !r) return r;
-  std::memcpy(irradiance.data(), down_.mapped(), seats_.used() * sizeof(Vec4));
-  return {};
-}
-
-// The paper multiplies all columns whatever changed.
-Result<void> VulkanSeed::relightChanged(std::span<const uint32_t> places, std::span<const Vec4> difference,
-                                        std::span<Vec4> irradiance) {
-  seats_.checkChange(places, difference, irradiance);
-  if (seats_.used() == 0) return {};
-  auto* light = reinterpret_cast<Vec4*>(up_.mapped());
-  std::fill_n(light, seats_.used(), Vec4{});
-  for (size_t i = 0; i < places.size(); ++i)
-    if (seats_.taken(places[i])) light[places[i]] = difference[i];
-  if (auto r = multiply(); !r) return r;
+void VulkanSeed::addIrradiance(std::span<Vec4> irradiance) const {
   const auto* e = reinterpret_cast<const Vec4*>(down_.mapped());
   for (uint32_t i = 0; i < seats_.used(); ++i) {
     irradiance[i].x += e[i].x;
     irradiance[i].y += e[i].y;
     irradiance[i].z += e[i].z;
   }
-  return {};
 }
 
 }  // namespace
 
 Result<std::unique_ptr<BounceMatrix>> makeVulkanSeed(std::shared_ptr<VkContext> context,
                                                      const MultibounceSettings& settings) {
-  const uint64_t bytes = uint64_t{settings.places} * settings.places * kElementBytes;
-  const uint64_t most = context->limits().maxStorageBufferRange;
-  if (settings.places == 0 || bytes > most)
-    return Error{ErrorCode::kUsage, "", "seed vulkan",
-                 std::to_string(settings.places) + " places: the matrix takes " + std::to_string(bytes >> 20) +
-                     " MiB, the device binds at most " + std::to_string(most >> 20) + " MiB",
-                 "use 1 to " + std::to_string(static_cast<uint32_t>(std::sqrt(static_cast<double>(most / kElementBytes)))) +
-                     " places"};
+  const uint64_t most = context->limits().maxStorageBufferRange / kElementBytes;
+  const auto places = static_cast<uint32_t>(std::sqrt(static_cast<double>(most)));
+  if (auto fits = checkMatrixFits(*context, "seed vulkan", settings.places,
+                                  uint64_t{settings.places} * settings.places * kElementBytes,
+                                  "use 1 to " + std::to_string(places) + " places");
+      !fits)
+    return fits.error();
   auto seed = std::make_unique<VulkanSeed>(std::move(context), settings.places);
   if (auto r = seed->start(); !r) return r.error();
   return std::unique_ptr<BounceMatrix>(std::move(seed));
