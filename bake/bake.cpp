@@ -95,18 +95,21 @@ Result<Scene> without(const Scene& scene, const std::vector<std::string>& names)
 }
 
 // Cuts with the given patch size, or finds the size that meets the budget within 10 % (four cuts at most).
-Result<PatchSet> choosePatches(const Scene& scene, const BakeSettings& s) {
-  if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m, .metals = s.metals});
+Result<PatchSet> choosePatches(const Scene& scene, const RayCaster& caster, const BakeSettings& s) {
+  if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m, .metals = s.metals}, &caster);
   double area = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     area += static_cast<double>(triangleArea(scene, t)) * (scene.materials[scene.triangles[t].material].double_sided ? 2 : 1);
   }
   double cell = std::sqrt(area / s.patch_budget);
+  bool look = false;  // for what is enclosed: takes longer, so only when the size is about right
   for (int attempt = 0;; ++attempt) {
-    auto set = makePatches(scene, {.cell_m = static_cast<float>(cell), .metals = s.metals});
+    auto set = makePatches(scene, {.cell_m = static_cast<float>(cell), .metals = s.metals}, look ? &caster : nullptr);
     if (!set) return set;
     const double ratio = static_cast<double>(set->patches.size()) / s.patch_budget;
-    if (attempt == 3 || (ratio < 1.1 && ratio > 0.9)) return set;
+    const bool met = ratio < 1.1 && ratio > 0.9;
+    if (look && (met || attempt >= 3)) return set;
+    look = met || attempt >= 2;
     cell *= std::sqrt(ratio);
   }
 }
@@ -138,14 +141,15 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
-    sampleRow(row, exchange.area(n), quanta, offset, sampled, shines);
+    const uint32_t own_quanta = quantaFor(row, quanta, shines);
+    sampleRow(row, exchange.area(n), own_quanta, offset, sampled, shines);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     formats::Node node = values[n].node;
-    node.quanta = quanta;
+    node.quanta = own_quanta;
     node.sky = sampled.sky;
     node.absorbed = sampled.absorbed;
     node.sky_direction = row.sky_direction;
-    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
+    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(own_quanta);
     const float most = seen > 0 ? kMostReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
     node.albedo = ff::min(node.albedo, {most, most, most});
@@ -209,20 +213,19 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   if (!writer) return writer.error();
 
   // Patches.
+  auto caster = RayCaster::create(scene);
+  if (!caster) return caster.error();
   auto set = [&] {
     ProgressReport report(progress, "patches", 1);
-    return choosePatches(scene, settings);
+    return choosePatches(scene, *caster, settings);
   }();
   if (!set) return set.error();
   const size_t n = set->patches.size();
-  auto caster = RayCaster::create(scene);
-  if (!caster) return caster.error();
 
   // Rays.
   BakeStats stats;
   stats.cell_m = set->cell_m;
   stats.triangles = scene.triangles.size();
-  stats.rays = uint64_t{settings.rays} * n;
   const auto cast_began = Clock::now();
   HitRows hits;
   {
@@ -230,24 +233,24 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
     hits = castRows(scene, *set, *caster, settings.rays, settings.seed, report.done);
   }
   stats.ray_seconds = since(cast_began);
-  std::vector<float> sky(n), near(n), whole_area(n);
+  std::vector<float> sky(n), whole_area(n);
   for (size_t i = 0; i < n; ++i) {
-    const double rays = settings.rays, a = static_cast<double>(set->patches[i].area_m2);
+    stats.rays += hits.rays[i];
+    const double rays = hits.rays[i], a = static_cast<double>(set->patches[i].area_m2);
     sky[i] = static_cast<float>(hits.sky[i] / rays) / exposedFraction(hits, i);
-    near[i] = static_cast<float>(hits.near[i] / rays);
     stats.sky_fraction += a * hits.sky[i] / rays;
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
     stats.buried_fraction += a * hits.buried[i] / rays;
     whole_area[i] = set->patches[i].area_m2;
     set->patches[i].area_m2 *= exposedFraction(hits, i);
   }
-  stats.buried_fraction /= set->area_m2;
-  stats.area_m2 = set->area_m2 * (1 - stats.buried_fraction);
+  stats.area_m2 = set->area_m2 - stats.buried_fraction;
+  stats.buried_fraction = (stats.buried_fraction + set->sealed_m2) / (set->area_m2 + set->sealed_m2);
   stats.sky_fraction /= stats.area_m2;
   stats.absorbed_fraction /= stats.area_m2;
 
   // Pooling and the pyramid.
-  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, near);
+  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, hits.narrow);
   std::vector<std::unique_ptr<ExchangeLevel>> exchange;
   std::vector<std::vector<NodeValues>> values;
   values.push_back(patchValues(set->patches, hierarchy));

@@ -21,8 +21,9 @@ inline constexpr double kClusterQuanta = 0.5;
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
-  uint32_t rays = 4096;           // per patch, 1..65535
-  uint32_t quanta = 512;          // Q of a patch's row, 1..65535; clusters have kClusterQuanta of it
+  uint32_t rays = 4096;           // per patch, 1..65535; lamps cast more: kMostLampRays
+  uint32_t quanta = 512;          // Q of a patch's row, 1..65535; clusters have kClusterQuanta of it, rows that see lamps up to
+                                  // a quarter more: quantaFor
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals
@@ -40,14 +41,14 @@ struct BakeStats {
   uint64_t triangles = 0, rays = 0;
   double area_m2 = 0;            // exposed: not inside another solid
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
-  double buried_fraction = 0;    // of the whole area
+  double buried_fraction = 0;    // of the whole area; pockets as well
   std::vector<LevelStats> levels;
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 2;
+inline constexpr uint32_t kBakeCode = 3;
 
 // WorldInfo::bake_key of a bake: scene, settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);

@@ -5,29 +5,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "bake/cosine_rays.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
 namespace {
 
 constexpr size_t kChunk = 64;  // patches cast by one task
-
-struct Frame {
-  Vec3 normal, tangent, bitangent;
-};
-
-// Tom Duff et al. Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
-Frame frameOf(Vec3 n) {
-  const float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
-  return {n, {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x}, {c, sign + n.y * n.y * a, -n.y}};
-}
-
-Vec3 pointInTriangle(const PatchTriangle& t, float u, float v) {
-  const float r = std::sqrt(u);  // Turk. Generating random points in triangles. Graphics Gems, 1990.
-  return t.a * (1 - r) + t.b * (r * (1 - v)) + t.c * (r * v);
-}
 
 struct Scratch {
   std::vector<uint16_t> count;     // per patch, zero between rows
@@ -44,6 +29,12 @@ bool isBuried(const RayCaster& caster, Vec3 origin, Vec3 normal) {
     if (hit.triangle == kNone || hit.front) return false;
   }
   return true;
+}
+
+uint32_t raysOfLamps(const PatchSet& set, uint32_t rays) {
+  const auto lamps = static_cast<size_t>(std::count_if(set.patches.begin(), set.patches.end(), [](const Patch& p) { return p.shines; }));
+  const size_t times = lamps > 0 ? 1 + set.patches.size() / (4 * lamps) : 1;
+  return std::min(65535u, rays * static_cast<uint32_t>(std::min<size_t>(times, kMostLampRays)));
 }
 
 struct Chunk {
@@ -74,7 +65,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
       t = at == triangles.end() ? &triangles.back() : &*at;
       const float before = at == triangles.begin() ? 0.0f : (t - 1)->cumulative_area;
       const float own = t->cumulative_area - before;
-      origin = pointInTriangle(*t, own > 0 ? std::clamp((x - before) / own, 0.0f, 1.0f) : 0.5f, v);
+      origin = pointInTriangle(t->a, t->b, t->c, own > 0 ? std::clamp((x - before) / own, 0.0f, 1.0f) : 0.5f, v);
       if (!scene.materials[scene.triangles[t->source].material].cutout) break;
       const auto [b, c] = barycentric(scene, t->source, origin);
       if (!isHole(scene, t->source, b, c)) break;
@@ -82,10 +73,8 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
     const Frame& frame = frames[static_cast<size_t>(t - triangles.data())];
-    const float r = std::sqrt(u[2]), phi = 2 * std::numbers::pi_v<float> * u[3];
     rays[i].origin = origin + frame.normal * surface_offset;
-    rays[i].direction = frame.tangent * (r * std::cos(phi)) + frame.bitangent * (r * std::sin(phi)) +
-                        frame.normal * std::sqrt(1 - u[2]);
+    rays[i].direction = cosineDirection(frame, u[2], u[3]);
     if (!normals.empty()) normals[i] = frame.normal;
   }
 }
@@ -93,41 +82,48 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
                  std::atomic<uint64_t>& done) {
   const size_t n = set.patches.size(), chunks = (n + kChunk - 1) / kChunk;
-  const SobolTable sobol(rays);
+  const uint32_t lamp_rays = raysOfLamps(set, rays);
+  const SobolTable sobol(lamp_rays);
   HitRows rows;
-  rows.rays = rays;
+  rows.rays.resize(n);
+  for (size_t i = 0; i < n; ++i) rows.rays[i] = set.patches[i].shines ? lamp_rays : rays;
   rows.start.assign(n + 1, 0);
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
   rows.buried.assign(n, 0);
-  rows.near.assign(n, 0);
   rows.sky_direction.assign(n, {});
+  rows.narrow.assign(n, 0);
   std::vector<Chunk> parts(chunks);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
-    return Scratch{std::vector<uint16_t>(n), {}, std::vector<Ray>(rays), std::vector<Vec3>(rays)};
+    return Scratch{std::vector<uint16_t>(n), {}, std::vector<Ray>(lamp_rays), std::vector<Vec3>(lamp_rays)};
   });
   tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
     Scratch& s = scratch.local();
     for (size_t i = c * kChunk; i < std::min(n, (c + 1) * kChunk); ++i) {
-      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), s.rays,
-                s.normals);
+      const std::span<Ray> cast(s.rays.data(), rows.rays[i]);
+      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), cast, s.normals);
       Vec3 sky_sum;
-      for (size_t k = 0; k < s.rays.size(); ++k) {
-        const Ray& ray = s.rays[k];
+      std::array<uint32_t, kNarrowCells.size()> near{};
+      for (size_t k = 0; k < cast.size(); ++k) {
+        const Ray& ray = cast[k];
         const Hit hit = caster.nearest(ray);
         if (hit.triangle == kNone) {
           ++rows.sky[i];
           sky_sum += ray.direction;
           continue;
         }
-        if (length(hit.point - ray.origin) < set.cell_m / 2) ++rows.near[i];
+        const float cells = length(hit.point - ray.origin) / set.cell_m;
+        for (size_t d = 0; d < near.size(); ++d) near[d] += cells < kNarrowCells[d];
         const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
-        if (j == kNone) {
+        if (j == kSealed) {
+          ++rows.buried[i];
+        } else if (j == kNone) {
           ++(isBuried(caster, ray.origin, s.normals[k]) ? rows.buried : rows.absorbed)[i];
         } else if (s.count[j]++ == 0) {
           s.touched.push_back(j);
         }
       }
+      for (const uint32_t hits : near) if (hits > kMostRays * rows.rays[i]) ++rows.narrow[i];
       if (rows.sky[i] > 0) rows.sky_direction[i] = sky_sum / static_cast<float>(rows.sky[i]);
       std::sort(s.touched.begin(), s.touched.end());
       for (uint32_t j : s.touched) {
@@ -157,8 +153,8 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
   std::vector<uint32_t> old(n);
   for (uint32_t i = 0; i < n; ++i) old[number[i]] = i;
   HitRows out;
-  out.rays = in.rays;
   out.start.assign(n + 1, 0);
+  out.rays.resize(n);
   out.sky.resize(n);
   out.absorbed.resize(n);
   out.buried.resize(n);
@@ -170,6 +166,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
     std::vector<std::pair<uint32_t, uint16_t>> row;
     for (size_t i = range.begin(); i < range.end(); ++i) {
       const uint32_t p = old[i];
+      out.rays[i] = in.rays[p];
       out.sky[i] = in.sky[p];
       out.absorbed[i] = in.absorbed[p];
       out.buried[i] = in.buried[p];

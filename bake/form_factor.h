@@ -5,8 +5,10 @@
 //
 // Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
 // all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).
+// So does one that sees a pocket (pieces.h): no light gets in or out there, so it lies inside.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <span>
@@ -18,15 +20,24 @@
 
 namespace ff::bake {
 
+// A patch is narrow where most of its rays (kMostRays) end within two cells, as in an alley, and very narrow where they end
+// within half of one.
+inline constexpr std::array<float, 2> kNarrowCells = {2, 0.5f};
+inline constexpr double kMostRays = 0.6;
+
+// Lamps are few and light much: they cast up to this many times the rays of a patch, as long as all together cast no more
+// than a quarter of the patches' rays. What a patch gets of a lamp is then known from the lamp's end.
+inline constexpr uint32_t kMostLampRays = 8;
+
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
 struct HitRows {
-  uint32_t rays = 0;               // per patch
+  std::vector<uint32_t> rays;      // per patch
   std::vector<uint64_t> start;     // patches + 1
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
-  std::vector<uint32_t> near;            // per patch: hits within half a cell; left behind by renumber()
   std::vector<Vec3> sky_direction;       // per patch: mean over its sky rays
+  std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to; left behind by renumber()
 };
 
 // Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere. normals: of the surface
@@ -34,13 +45,13 @@ struct HitRows {
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                float surface_offset, std::span<Ray> rays, std::span<Vec3> normals = {});
 
-// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535.
+// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535: of a patch that is no lamp.
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
                  std::atomic<uint64_t>& done);
 
 // Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
 inline float exposedFraction(const HitRows& rows, size_t patch) {
-  return std::max(1e-6f, 1 - static_cast<float>(rows.buried[patch]) / static_cast<float>(rows.rays));
+  return std::max(1e-6f, 1 - static_cast<float>(rows.buried[patch]) / static_cast<float>(rows.rays[patch]));
 }
 
 // The same rows with patch p renumbered to number[p].

@@ -8,94 +8,14 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <span>
 #include <tuple>
 
+#include "bake/pieces.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
 namespace {
-
-struct Point {
-  double x, y, z;
-  double& operator[](int i) { return i == 0 ? x : i == 1 ? y : z; }
-  double operator[](int i) const { return i == 0 ? x : i == 1 ? y : z; }
-};
-Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-double dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-Point cross(Point a, Point b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
-using Polygon = std::vector<Point>;  // convex; in units of cells
-
-Point vectorArea(const Polygon& p) {
-  Point n{0, 0, 0};
-  for (size_t i = 1; i + 1 < p.size(); ++i) {
-    const Point c = cross(p[i] - p[0], p[i + 1] - p[0]);
-    n = {n.x + c.x / 2, n.y + c.y / 2, n.z + c.z / 2};
-  }
-  return n;
-}
-
-// Cuts a convex polygon at coordinate `plane` of axis a. Corners within eps of the plane belong to both sides.
-void split(const Polygon& in, int a, double plane, double eps, Polygon& below, Polygon& above) {
-  below.clear();
-  above.clear();
-  for (size_t i = 0; i < in.size(); ++i) {
-    const Point& p = in[i];
-    const Point& q = in[(i + 1) % in.size()];
-    const double dp = p[a] - plane, dq = q[a] - plane;
-    if (dp <= eps) below.push_back(p);
-    if (dp >= -eps) above.push_back(p);
-    if ((dp < -eps && dq > eps) || (dp > eps && dq < -eps)) {
-      // From the lower end always, so that two triangles cut their common edge at the same point.
-      const Point& lo = dp < dq ? p : q;
-      const Point& hi = dp < dq ? q : p;
-      const double t = (plane - lo[a]) / (hi[a] - lo[a]);
-      Point c{lo.x + t * (hi.x - lo.x), lo.y + t * (hi.y - lo.y), lo.z + t * (hi.z - lo.z)};
-      c[a] = plane;
-      below.push_back(c);
-      above.push_back(c);
-    }
-  }
-}
-
-struct PieceOf {
-  Cell cell;
-  uint32_t triangle;
-  Polygon polygon;
-};
-
-// Splits `polygon` along `axis` and on along the axes after it. A polygon that lies in a grid plane belongs to the cell
-// behind it, so that the faces of a voxel lie in the voxel's own cell.
-void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, double eps, uint32_t triangle,
-          std::vector<PieceOf>& out) {
-  if (axis == 3) {
-    out.push_back({cell, triangle, polygon});
-    return;
-  }
-  double lo = 1e300, hi = -1e300;
-  for (const Point& p : polygon) {
-    lo = std::min(lo, p[axis]);
-    hi = std::max(hi, p[axis]);
-  }
-  const double first = std::floor(lo + eps), last = std::ceil(hi - eps) - 1;
-  if (last <= first) {
-    const double behind = normal[axis] > 0 ? -2 * eps : normal[axis] < 0 ? 2 * eps : 0;
-    const bool flat = hi - lo <= 2 * eps;
-    cell[axis] = static_cast<int32_t>(flat ? std::floor((lo + hi) / 2 + behind) : std::floor((lo + hi) / 2));
-    clip(polygon, axis + 1, cell, normal, eps, triangle, out);
-    return;
-  }
-  Polygon rest = polygon, below, above;
-  for (double k = first; k <= last; ++k) {
-    cell[axis] = static_cast<int32_t>(k);
-    if (k < last) {
-      split(rest, axis, k + 1, eps, below, above);
-    } else {
-      below = rest;
-    }
-    if (below.size() >= 3) clip(below, axis + 1, cell, normal, eps, triangle, out);
-    if (k < last) std::swap(rest, above);
-  }
-}
 
 uint32_t orientationOf(const Point& n) {
   const double ax = std::abs(n.x), ay = std::abs(n.y), az = std::abs(n.z);
@@ -164,7 +84,8 @@ UnionFind connect(const std::vector<const Polygon*>& pieces, const std::vector<C
 
 class PatchBuilder {
  public:
-  PatchBuilder(const Scene& scene, const PatchSettings& settings) : scene_(scene), settings_(settings) {}
+  PatchBuilder(const Scene& scene, const PatchSettings& settings, const RayCaster* caster)
+      : scene_(scene), settings_(settings), caster_(caster) {}
 
   Result<PatchSet> build() {
     const float s = settings_.cell_m;
@@ -179,6 +100,10 @@ class PatchBuilder {
     eps_ = std::max(1e-4, 4.0 * static_cast<double>(largest) * 0x1p-24 / static_cast<double>(s));
     if (auto cut = cutTriangles(); !cut) return cut.error();
     makeSides();
+    if (sides_.empty()) {  // all is smaller than a cell: better coarse than not at all
+      for (Piece& piece : pieces_) piece.enclosure[0] = piece.enclosure[1] = Enclosure::kCrevice;
+      makeSides();
+    }
     formPatches();
     measure();
     return std::move(set_);
@@ -191,8 +116,13 @@ class PatchBuilder {
     uint32_t piece;
     uint32_t back;  // 1: the back of a double-sided piece
     bool shines;
+    Enclosure enclosure;
+    auto place() const { return std::tuple(key, orientation, shines); }
     // Sides of one group may share a patch.
-    auto group() const { return std::tuple(key, orientation, shines); }
+    auto group() const { return std::tuple_cat(place(), std::tuple(enclosure)); }
+    friend bool operator<(const Side& a, const Side& b) {
+      return std::tuple_cat(a.group(), std::tuple(a.piece, a.back)) < std::tuple_cat(b.group(), std::tuple(b.piece, b.back));
+    }
   };
 
   Result<void> cutTriangles() {
@@ -206,13 +136,14 @@ class PatchBuilder {
       return Error{ErrorCode::kUsage, scene_.name, "",
                    "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
                    "use a larger --patch-size"};
-    std::vector<std::vector<PieceOf>> parts(chunks);
+    const PieceCutter cutter(scene_, settings_.cell_m, eps_, caster_);
+    std::vector<std::vector<Piece>> parts(chunks);
     tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
-      for (size_t t = c * kChunk; t < std::min(n, (c + 1) * kChunk); ++t) cutTriangle(static_cast<uint32_t>(t), parts[c]);
+      for (size_t t = c * kChunk; t < std::min(n, (c + 1) * kChunk); ++t) cutter.cut(static_cast<uint32_t>(t), parts[c]);
     });
     set_.piece_start_.assign(n + 1, 0);
     for (auto& part : parts) {
-      for (PieceOf& p : part) {
+      for (Piece& p : part) {
         ++set_.piece_start_[p.triangle + 1];
         pieces_.push_back(std::move(p));
       }
@@ -224,41 +155,35 @@ class PatchBuilder {
     return {};
   }
 
-  void cutTriangle(uint32_t t, std::vector<PieceOf>& out) const {
-    Polygon corners;
-    for (uint32_t v : scene_.triangles[t].v) {
-      const Vec3 p = scene_.positions[v];
-      const double s = static_cast<double>(settings_.cell_m);
-      corners.push_back({static_cast<double>(p.x) / s, static_cast<double>(p.y) / s, static_cast<double>(p.z) / s});
-    }
-    const size_t first = out.size();
-    clip(corners, 0, {}, vectorArea(corners), eps_, t, out);
-    // Slivers that only rounding made; at least one piece of a triangle stays.
-    const auto sliver = [](const PieceOf& p) {
-      const Point n = vectorArea(p.polygon);
-      return dot(n, n) < 1e-16;
-    };
-    if (out.size() - first > 1) {
-      const auto end = std::remove_if(out.begin() + static_cast<ptrdiff_t>(first), out.end(), sliver);
-      if (end != out.begin() + static_cast<ptrdiff_t>(first)) out.erase(end, out.end());
-    }
-    std::sort(out.begin() + static_cast<ptrdiff_t>(first), out.end(),
-              [](const PieceOf& a, const PieceOf& b) { return a.cell < b.cell; });
-  }
-
   void makeSides() {
     for (uint32_t i = 0; i < pieces_.size(); ++i) {
       const uint64_t key = hilbertKey(pieces_[i].cell);
       const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
       const Material& material = scene_.materials[scene_.triangles[pieces_[i].triangle].material];
       const bool shines = !(material.emission == Vec3{});
-      sides_.push_back({key, o, i, 0, shines});
-      if (material.double_sided) sides_.push_back({key, o ^ 1u, i, 1, shines});
+      for (uint32_t back = 0; back < (material.double_sided ? 2 : 1); ++back)
+        if (pieces_[i].enclosure[back] != Enclosure::kPocket)
+          sides_.push_back({key, o ^ back, i, back, shines, pieces_[i].enclosure[back]});
     }
-    tbb::parallel_sort(sides_.begin(), sides_.end(), [](const Side& a, const Side& b) {
-      return std::tie(a.key, a.orientation, a.shines, a.piece, a.back) <
-             std::tie(b.key, b.orientation, b.shines, b.piece, b.back);
-    });
+    tbb::parallel_sort(sides_.begin(), sides_.end());
+    for (size_t begin = 0, end; begin < sides_.size(); begin = end) {
+      end = begin + 1;
+      while (end < sides_.size() && sides_[end].place() == sides_[begin].place()) ++end;
+      joinRare(std::span(sides_).subspan(begin, end - begin));
+    }
+  }
+
+  // A little open surface among much that is not, or the reverse, is not worth a patch of its own.
+  void joinRare(std::span<Side> sides) const {
+    double area[2] = {0, 0};
+    for (const Side& side : sides) {
+      const Point n = vectorArea(pieces_[side.piece].polygon);
+      area[side.enclosure == Enclosure::kCrevice] += std::sqrt(dot(n, n));
+    }
+    const bool rare = area[1] < area[0];
+    if (area[rare] == 0 || area[rare] >= static_cast<double>(settings_.crumb_fraction) * (area[0] + area[1])) return;
+    for (Side& side : sides) side.enclosure = rare ? Enclosure::kOpen : Enclosure::kCrevice;
+    std::sort(sides.begin(), sides.end());
   }
 
   // Gives every side its patch: labels_ is parallel to sides_.
@@ -335,7 +260,15 @@ class PatchBuilder {
   void measure() {
     set_.cell_m = settings_.cell_m;
     set_.pieces_.resize(pieces_.size());
-    for (size_t i = 0; i < pieces_.size(); ++i) set_.pieces_[i].cell = pieces_[i].cell;
+    for (size_t i = 0; i < pieces_.size(); ++i) {
+      set_.pieces_[i] = {static_cast<uint32_t>(pieces_[i].depth), pieces_[i].cube};
+      const Point n = vectorArea(pieces_[i].polygon);
+      for (int side = 0; side < 2; ++side)
+        if (pieces_[i].enclosure[side] == Enclosure::kPocket) {
+          set_.pieces_[i].patch[side] = kSealed;
+          set_.sealed_m2 += std::sqrt(dot(n, n)) * static_cast<double>(settings_.cell_m) * static_cast<double>(settings_.cell_m);
+        }
+    }
     std::vector<uint32_t> order(sides_.size());
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return labels_[a] < labels_[b]; });
@@ -354,6 +287,7 @@ class PatchBuilder {
         patch.key = side.key;
         patch.orientation = side.orientation;
         patch.shines = side.shines;
+        patch.enclosure = side.enclosure;
       }
       patch.triangles = triangles - patch.first_triangle;
     }
@@ -372,7 +306,7 @@ class PatchBuilder {
     const float s = settings_.cell_m;
     for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
       const Side& side = sides_[order[k]];
-      const PieceOf& piece = pieces_[side.piece];
+      const Piece& piece = pieces_[side.piece];
       const auto metres = [&](size_t i) {
         const Point& c = piece.polygon[i];
         return Vec3{static_cast<float>(c.x * static_cast<double>(s)), static_cast<float>(c.y * static_cast<double>(s)),
@@ -413,32 +347,44 @@ class PatchBuilder {
 
   const Scene& scene_;
   const PatchSettings& settings_;
+  const RayCaster* caster_;
   double eps_ = 1e-4;  // cells
-  std::vector<PieceOf> pieces_;  // by triangle
+  std::vector<Piece> pieces_;  // by triangle
   std::vector<Side> sides_;
   std::vector<uint32_t> labels_;
   PatchSet set_;
 };
 
-Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings) {
-  return PatchBuilder(scene, settings).build();
+Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster) {
+  return PatchBuilder(scene, settings, caster).build();
 }
 
 uint32_t PatchSet::searchPatch(uint32_t t, bool front, Vec3 p) const {
   const auto first = pieces_.begin() + piece_start_[t], last = pieces_.begin() + piece_start_[t + 1];
   if (first == last) return kNone;
-  Cell cell;
-  for (int a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(std::floor(p[a] / cell_m));
-  const auto at = std::lower_bound(first, last, cell, [](const Piece& q, const Cell& c) { return q.cell < c; });
-  if (at != last && at->cell == cell) return at->patch[front ? 0 : 1];
-  // On a cell border, or in a grid plane: the piece whose cell's box is nearest.
+  const auto find = [&](uint32_t depth, const Cell& cube) {
+    const auto at = std::lower_bound(first, last, std::tie(depth, cube), [](const CutPiece& q, const auto& key) {
+      return std::tie(q.depth, q.cube) < key;
+    });
+    return at != last && at->depth == depth && at->cube == cube ? at : last;
+  };
+  const auto cubeOf = [&](uint32_t depth) {
+    Cell cube;
+    for (int a = 0; a < 3; ++a) cube[a] = static_cast<int32_t>(std::floor(std::ldexp(p[a] / cell_m, static_cast<int>(depth))));
+    return cube;
+  };
+  const uint32_t deepest = (last - 1)->depth;
+  for (uint32_t depth = first->depth; depth <= deepest; ++depth)
+    if (const auto at = find(depth, cubeOf(depth)); at != last) return at->patch[front ? 0 : 1];
+  // On the border of a cube, or in a grid plane: the piece whose cube is nearest.
   auto best = first;
   float nearest = 1e30f;
-  const auto consider = [&](decltype(at) q) {
+  const auto consider = [&](auto q) {
     Box box;
-    const Vec3 lo{static_cast<float>(q->cell[0]), static_cast<float>(q->cell[1]), static_cast<float>(q->cell[2])};
-    box.add(lo * cell_m);
-    box.add((lo + Vec3{1, 1, 1}) * cell_m);
+    const float edge = std::ldexp(cell_m, -static_cast<int>(q->depth));
+    const Vec3 lo{static_cast<float>(q->cube[0]), static_cast<float>(q->cube[1]), static_cast<float>(q->cube[2])};
+    box.add(lo * edge);
+    box.add((lo + Vec3{1, 1, 1}) * edge);
     if (const float d = box.distance(p); d < nearest) {
       nearest = d;
       best = q;
@@ -447,13 +393,13 @@ uint32_t PatchSet::searchPatch(uint32_t t, bool front, Vec3 p) const {
   if (last - first <= 64) {
     for (auto q = first; q != last; ++q) consider(q);
   } else {
-    for (int32_t dx = -1; dx <= 1; ++dx)
-      for (int32_t dy = -1; dy <= 1; ++dy)
-        for (int32_t dz = -1; dz <= 1; ++dz) {
-          const Cell c{cell[0] + dx, cell[1] + dy, cell[2] + dz};
-          const auto q = std::lower_bound(first, last, c, [](const Piece& r, const Cell& d) { return r.cell < d; });
-          if (q != last && q->cell == c) consider(q);
-        }
+    for (uint32_t depth = first->depth; depth <= deepest; ++depth)
+      for (int32_t dx = -1; dx <= 1; ++dx)
+        for (int32_t dy = -1; dy <= 1; ++dy)
+          for (int32_t dz = -1; dz <= 1; ++dz) {
+            const Cell c = cubeOf(depth);
+            if (const auto q = find(depth, {c[0] + dx, c[1] + dy, c[2] + dz}); q != last) consider(q);
+          }
   }
   return best->patch[front ? 0 : 1];
 }

@@ -1,5 +1,7 @@
 // Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class, and
-// all shine or none. A thin wall's two sides, two floors in one cell, a lamp and its shade are never one patch. Crumbs (components under
+// all shine or none, all are as much enclosed. A thin wall's two sides, two floors in one cell, a lamp and its shade,
+// a wall and what of it is behind the skirting board are never one patch. Surface in a pocket (pieces.h), where no light gets
+// to, has none: the inside of closed tubes, of walls that are modelled from both sides. Crumbs (components under
 // `crumb_fraction` of a cell face) join the nearest patch of their cell and class. Double-sided surfaces get a patch a side.
 #pragma once
 #include <cstdint>
@@ -7,17 +9,21 @@
 #include <vector>
 
 #include "bake/hilbert.h"
+#include "bake/pieces.h"
 #include "bake/scene.h"
 
 namespace ff::bake {
 
 inline constexpr uint32_t kOrientations = 6;  // dominant axis of the normal and its sign: +x -x +y -y +z -z
 
+inline constexpr uint32_t kSealed = kNone - 1;  // what patchAt() says of surface in a pocket: it has no patch
+
 struct Patch {
   Cell cell{};
   uint64_t key = 0;         // hilbertKey(cell)
   uint32_t orientation = 0;
   bool shines = false;      // its material emits; lamps and what holds them never share a patch or a cluster
+  Enclosure enclosure = Enclosure::kOpen;
   float area_m2 = 0;        // cutout holes are not counted
   Vec3 centroid, normal;    // m; area-weighted means
   Vec3 albedo, emission;    // linear RGB; M in W/m2
@@ -34,12 +40,13 @@ struct PatchTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, shines, first piece)
+  std::vector<Patch> patches;            // sorted by (key, orientation, shines, enclosure, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
   float cell_m = 1;
-  double area_m2 = 0;
+  double area_m2 = 0, sealed_m2 = 0;     // of the patches; of what lies in pockets and has none
 
-  // The patch that covers point p of scene triangle t on its front or back side; kNone where that side has none.
+  // The patch that covers point p of scene triangle t on its front or back side; kNone where that side has none,
+  // kSealed in a pocket.
   // A point that rounding puts just outside all pieces gets the piece of the nearest cell.
   uint32_t patchAt(uint32_t t, bool front, Vec3 p) const {
     const uint32_t first = piece_start_[t], last = piece_start_[t + 1];
@@ -49,14 +56,15 @@ class PatchSet {
 
  private:
   friend class PatchBuilder;
-  struct Piece {
-    Cell cell;
+  struct CutPiece {
+    uint32_t depth;
+    Cell cube;                           // see Piece
     uint32_t patch[2] = {kNone, kNone};  // front, back
   };
   uint32_t searchPatch(uint32_t t, bool front, Vec3 p) const;
 
   std::vector<uint32_t> piece_start_;  // per scene triangle
-  std::vector<Piece> pieces_;          // by triangle, cells ascending
+  std::vector<CutPiece> pieces_;       // by triangle, (depth, cube) ascending
 };
 
 struct PatchSettings {
@@ -67,6 +75,7 @@ struct PatchSettings {
 };
 
 // Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.
-Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings);
+// caster: of the scene; null: all counts as open.
+Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster = nullptr);
 
 }  // namespace ff::bake

@@ -26,7 +26,8 @@ PooledPatches::PooledPatches(HitRows rows, std::vector<float> areas_m2)
 void PooledPatches::row(uint32_t i, ExchangeRow& out) const {
   out.column.clear();
   out.area_m2.clear();
-  const double rays = rows_.rays, density = rays / static_cast<double>(areas_[i]);
+  const auto density = [&](uint32_t node) { return rows_.rays[node] / static_cast<double>(areas_[node]); };
+  const double own = density(i);
   uint64_t a = rows_.start[i], b = column_start_[i];
   const uint64_t a_end = rows_.start[i + 1], b_end = column_start_[i + 1];
   while (a < a_end || b < b_end) {
@@ -36,10 +37,10 @@ void PooledPatches::row(uint32_t i, ExchangeRow& out) const {
     if (ja == j) hits += rows_.count[a++];
     if (jb == j) hits += count_[b++];
     out.column.push_back(j);
-    out.area_m2.push_back(hits / (density + rays / static_cast<double>(areas_[j])));
+    out.area_m2.push_back(hits / (own + density(j)));
   }
-  out.sky_m2 = rows_.sky[i] / density;
-  out.absorbed_m2 = rows_.absorbed[i] / density;
+  out.sky_m2 = rows_.sky[i] / own;
+  out.absorbed_m2 = rows_.absorbed[i] / own;
   out.sky_direction = rows_.sky_direction[i];
 }
 

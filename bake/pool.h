@@ -1,5 +1,5 @@
 // Reciprocity pooling: A_i F_ij = A_j F_ji, so rays from both ends estimate one exchange area
-//   X_ij = (h_ij + h_ji) / (rays/A_i + rays/A_j),
+//   X_ij = (h_ij + h_ji) / (rays_i/A_i + rays_j/A_j),
 // all hits over the pooled density of rays. Sky and absorption are seen from one end only. A_i is the whole area that rays
 // start from; area() of the level is the exposed part.
 #pragma once

@@ -48,19 +48,18 @@ std::vector<uint32_t> cutTiles(uint32_t nodes, std::span<const uint32_t> parents
 
 }  // namespace
 
-uint32_t openness(double sky_fraction, double near_fraction) {
-  if (sky_fraction < 0.02) return near_fraction > 0.5 ? 3 : 0;
-  return sky_fraction < 0.3 ? 1 : 2;
+uint32_t openness(double sky_fraction, uint32_t narrow) {
+  if (sky_fraction >= 0.02) return sky_fraction < 0.3 ? 1 : 2;
+  return narrow > 0 ? 2 + narrow : 0;
 }
 
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
-                        std::span<const float> near_fraction) {
+                        std::span<const uint8_t> narrow) {
   const auto n = static_cast<uint32_t>(patches.size());
   std::vector<uint32_t> group(n);
-  for (uint32_t i = 0; i < n; ++i)
-  {
-    const double near = near_fraction.empty() ? 0 : static_cast<double>(near_fraction[i]);
-    group[i] = (patches[i].orientation * 4 + openness(static_cast<double>(sky_fraction[i]), near)) * 2 + (patches[i].shines ? 1 : 0);
+  for (uint32_t i = 0; i < n; ++i) {
+    const uint32_t open = openness(static_cast<double>(sky_fraction[i]), narrow.empty() ? 0 : narrow[i]);
+    group[i] = (patches[i].orientation * kOpennesses + open) * 2 + (patches[i].shines ? 1 : 0);
   }
   int top = 0;
   size_t count = n;

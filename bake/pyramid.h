@@ -19,9 +19,10 @@ namespace ff::bake {
 inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at most this many nodes
 inline constexpr uint32_t kMaxSiblings = 64;
 
-// Openness class of a patch from the fraction of its rays that reach the sky: 0 interior, 1 half open, 2 open; and, of an
-// interior one, from the fraction that ends within half a cell: 3 a crevice (behind a skirting board, inside a step).
-uint32_t openness(double sky_fraction, double near_fraction = 0);
+// Openness class of a patch: 0 interior, 1 half open, 2 open, by the fraction of its rays that reach the sky; 3 and 4 an
+// interior that is narrow (an alley, the space between two walls) or very much so (a crevice): HitRows::narrow.
+inline constexpr uint32_t kOpennesses = 5;
+uint32_t openness(double sky_fraction, uint32_t narrow = 0);
 
 struct Hierarchy {
   std::vector<uint32_t> number;  // of patch p in level 0's order
@@ -33,9 +34,9 @@ struct Hierarchy {
   uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
 };
 
-// sky_fraction, near_fraction: per patch; the latter may be empty.
+// sky_fraction, narrow: per patch; the latter may be empty.
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
-                        std::span<const float> near_fraction = {});
+                        std::span<const uint8_t> narrow = {});
 
 // What a node carries beside its row, for all nodes of a level.
 struct NodeValues {

@@ -4,7 +4,6 @@
 
 #include <cmath>
 #include <cstring>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -52,9 +51,9 @@ struct RayCaster::State {
     if (isHole(*scene, t, RTCHitN_u(args->hit, args->N, 0), RTCHitN_v(args->hit, args->N, 0))) args->valid[0] = 0;
   }
 
-  RTCRayHit cast(const Ray& ray) const {
+  RTCRayHit cast(const Ray& ray, float within_m) const {
     RTCRayHit rh;
-    rh.ray = toEmbree(ray, std::numeric_limits<float>::infinity());
+    rh.ray = toEmbree(ray, within_m);
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
@@ -126,8 +125,8 @@ RayCaster::RayCaster(RayCaster&&) noexcept = default;
 RayCaster& RayCaster::operator=(RayCaster&&) noexcept = default;
 RayCaster::~RayCaster() = default;
 
-Hit RayCaster::nearest(const Ray& ray) const {
-  const RTCRayHit rh = state_->cast(ray);
+Hit RayCaster::nearest(const Ray& ray, float within_m) const {
+  const RTCRayHit rh = state_->cast(ray, within_m);
   if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return {};
   Hit hit;
   hit.triangle = state_->source[rh.hit.geomID][rh.hit.primID];
@@ -146,6 +145,6 @@ bool RayCaster::occluded(const Ray& ray, float distance_m) const {
 
 float RayCaster::surfaceOffset() const { return state_->offset; }
 
-uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray).hit.primID; }
+uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray, std::numeric_limits<float>::infinity()).hit.primID; }
 
 }  // namespace ff::bake

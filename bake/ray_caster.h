@@ -1,5 +1,6 @@
 // Nearest hits against a scene's triangles. The only file that sees Embree.
 #pragma once
+#include <limits>
 #include <memory>
 
 #include "bake/scene.h"
@@ -25,7 +26,7 @@ class RayCaster {
   ~RayCaster();
 
   // Thread-safe. Rays pass through the holes of cutout materials.
-  Hit nearest(const Ray& ray) const;
+  Hit nearest(const Ray& ray, float within_m = std::numeric_limits<float>::infinity()) const;
   bool occluded(const Ray& ray, float distance_m) const;
   // How far to lift an origin off its surface so that rounding cannot put it behind, m.
   float surfaceOffset() const;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <tuple>
 #include <utility>
 
@@ -18,6 +19,26 @@ void mergeColumns(SampledRow& row, ptrdiff_t lamps) {
 }
 
 }  // namespace
+
+uint32_t quantaFor(const ExchangeRow& row, uint32_t quanta, std::span<const uint8_t> shines) {
+  constexpr double kClose = 0.01;  // of the lamps' light
+  double lamps = 0, sum = row.sky_m2 + row.absorbed_m2;
+  for (size_t k = 0; k < row.column.size(); ++k) {
+    sum += row.area_m2[k];
+    if (shines[row.column[k]]) lamps += row.area_m2[k];
+  }
+  if (!(lamps > 0)) return quanta;
+  uint32_t best = quanta;
+  double least = std::numeric_limits<double>::infinity();
+  for (uint32_t q = quanta; q <= std::min(65535u, quanta + quanta / 4) && least > kClose; ++q) {
+    const double counts = lamps / sum * q;
+    if (const double off = std::abs(counts - std::round(counts)) / counts; off < least) {
+      least = off;
+      best = q;
+    }
+  }
+  return best;
+}
 
 void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out,
                std::span<const uint8_t> shines) {

@@ -79,6 +79,17 @@ inline Scene closedBox(Vec3 albedo, Vec3 radiance) {
   return s;
 }
 
+// A box's six faces, seen from outside.
+inline void addBlock(Scene& s, Vec3 lo, Vec3 hi, uint32_t material) {
+  const auto p = [&](int x, int y, int z) { return Vec3{x ? hi.x : lo.x, y ? hi.y : lo.y, z ? hi.z : lo.z}; };
+  addQuad(s, p(0, 1, 0), p(0, 1, 1), p(1, 1, 1), p(1, 1, 0), material);
+  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1), material);
+  addQuad(s, p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1), material);
+  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), material);
+  addQuad(s, p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1), material);
+  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0), material);
+}
+
 // The cap of a unit sphere around +y of half-angle beta, seen from the centre; rings x segments quads.
 inline Scene sphericalCap(double beta, int rings, int segments) {
   Scene s;
@@ -104,8 +115,8 @@ struct CastScene {
 
 inline CastScene cast(Scene scene, float cell_m, uint32_t rays, uint64_t seed = 1) {
   CastScene c{std::move(scene), {}, {}};
-  c.set = *makePatches(c.scene, {.cell_m = cell_m});
   const auto caster = RayCaster::create(c.scene);
+  c.set = *makePatches(c.scene, {.cell_m = cell_m}, &*caster);
   std::atomic<uint64_t> done{0};
   c.rows = castRows(c.scene, c.set, *caster, rays, seed, done);
   return c;
@@ -123,7 +134,7 @@ inline double formFactor(const CastScene& c, uint32_t from, uint32_t to) {
     const double a = static_cast<double>(c.set.patches[i].area_m2);
     area += a;
     for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k)
-      if (materialOf(c, c.rows.column[k]) == to) exchange += a * c.rows.count[k] / c.rows.rays;
+      if (materialOf(c, c.rows.column[k]) == to) exchange += a * c.rows.count[k] / c.rows.rays[i];
   }
   return exchange / area;
 }

@@ -12,7 +12,7 @@ namespace {
 
 double allowed(double f, const CastScene& c, uint32_t from) {
   double rays = 0;
-  for (uint32_t i = 0; i < c.set.patches.size(); ++i) rays += materialOf(c, i) == from ? c.rows.rays : 0;
+  for (uint32_t i = 0; i < c.set.patches.size(); ++i) rays += materialOf(c, i) == from ? c.rows.rays[i] : 0;
   return 4 * std::sqrt(f * (1 - f) / rays);
 }
 

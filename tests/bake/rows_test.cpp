@@ -145,6 +145,45 @@ TEST(RowSampling, AllLampsTogetherGetTheirShareWithinOneCount) {
   }
 }
 
+TEST(RowSampling, QuantaAreChosenSoThatLampsGetAWholeNumberOfCounts) {
+  // One lamp and a hundred other columns; whatever its share, what it is given is within 1 % where a quarter more quanta reach
+  // a whole count, and never farther off than by the quanta asked for.
+  int far = 0;
+  for (int step = 1; step <= 200; ++step) {
+    ExchangeRow row;
+    std::vector<uint8_t> shines(101);
+    shines[40] = 1;
+    for (uint32_t j = 0; j < 101; ++j) {
+      row.column.push_back(j);
+      row.area_m2.push_back(j == 40 ? 0.02 * step / 200 : 0.98 / 100);
+    }
+    double sum = 0;
+    for (const double a : row.area_m2) sum += a;
+    const uint32_t q = quantaFor(row, 512, shines);
+    ASSERT_GE(q, 512u);
+    ASSERT_LE(q, 640u);
+    const double counts = row.area_m2[40] / sum * q, off = std::abs(counts - std::round(counts)) / counts;
+    const double asked = row.area_m2[40] / sum * 512;
+    EXPECT_LE(off, std::abs(asked - std::round(asked)) / asked + 1e-12);
+    if (asked > 4) {
+      EXPECT_LT(off, 0.01) << asked;
+    }
+    far += off > 0.01;
+    SampledRow out;
+    for (const double offset : {0.02, 0.5, 0.97}) {
+      sampleRow(row, 1, q, offset, out, shines);
+      uint32_t all = out.sky + out.absorbed;
+      for (const uint16_t n : out.count) all += n;
+      EXPECT_EQ(all, q);
+    }
+  }
+  EXPECT_LT(far, 100);
+  ExchangeRow dark;
+  dark.column = {0, 1};
+  dark.area_m2 = {0.4, 0.6};
+  EXPECT_EQ(quantaFor(dark, 512, std::vector<uint8_t>{0, 0}), 512u);
+}
+
 TEST(RowSampling, ARowThatSeesNothingIsAbsorbed) {
   ExchangeRow row;
   SampledRow out;
@@ -186,41 +225,99 @@ TEST(Pyramid, SiblingsAreConsecutiveShareCellAndOrientationAndLieInOneTile) {
     for (size_t t = 0; t + 1 < tiles.size(); ++t) EXPECT_LE(tiles[t + 1] - tiles[t], formats::kTileNodes);
 }
 
-TEST(Pyramid, LampsAndCrevicesHaveClustersOfTheirOwn) {
+TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.03125f, 16);
-  std::vector<float> sky(c.set.patches.size(), 0), near(sky.size());
+  std::vector<float> sky(c.set.patches.size(), 0);
+  std::vector<uint8_t> narrow(sky.size());
   for (size_t i = 0; i < sky.size(); ++i) {
     c.set.patches[i].shines = i % 7 == 0;
-    near[i] = i % 5 == 0 ? 0.9f : 0.2f;
+    narrow[i] = static_cast<uint8_t>(i % 3);
   }
-  const Hierarchy h = makeHierarchy(c.set.patches, sky, near);
+  const Hierarchy h = makeHierarchy(c.set.patches, sky, narrow);
   ASSERT_GE(h.levels(), 2u);
   std::vector<uint32_t> patch_of(sky.size());
   for (uint32_t p = 0; p < sky.size(); ++p) patch_of[h.number[p]] = p;
   for (uint32_t i = 1; i < sky.size(); ++i) {
     if (h.parents[0][i] != h.parents[0][i - 1]) continue;
-    EXPECT_EQ(c.set.patches[patch_of[i]].shines, c.set.patches[patch_of[i - 1]].shines);
-    EXPECT_EQ(near[patch_of[i]], near[patch_of[i - 1]]);
+    const uint32_t a = patch_of[i], b = patch_of[i - 1];
+    EXPECT_EQ(c.set.patches[a].shines, c.set.patches[b].shines);
+    EXPECT_EQ(narrow[a], narrow[b]);
   }
 }
 
-TEST(FormFactor, HitsWithinHalfACellAreCountedAsNear) {
-  // Plates 0.2 cells apart: nearly all rays end on the other one within half a cell. Far apart: none.
-  for (const float gap : {0.02f, 0.5f}) {
+TEST(FormFactor, APlaceIsNarrowWhereMostRaysEndWithinTwoCellsAndMoreSoWithinHalfOfOne) {
+  // Between two plates `gap` cells apart a ray at angle t to the normal is gap / cos t long: of cosine-weighted rays a
+  // share 1 - (gap / reach)^2 ends within reach.
+  for (const auto& [gap, steps] : {std::pair{0.25f, 2}, {0.45f, 1}, {1.1f, 1}, {1.5f, 0}}) {
     Scene s;
     const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
-    addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, m);
-    addQuad(s, {0, gap, 0}, {1, gap, 0}, {1, gap, 1}, {0, gap, 1}, m);
-    const CastScene c = cast(std::move(s), 0.1f, 64);
-    uint64_t near = 0;
-    for (const uint32_t n : c.rows.near) near += n;
-    // A ray at angle t to the normal is gap / cos t long: within 0.05 if cos t > 0.4, 84 % of cosine-weighted rays.
-    const double share = static_cast<double>(near) / (64.0 * static_cast<double>(c.rows.near.size()));
-    if (gap < 0.05f)
-      EXPECT_NEAR(share, 0.84, 0.02);
-    else
-      EXPECT_EQ(near, 0u);
+    addQuad(s, {0, 0.01f, 0}, {0, 0.01f, 8}, {8, 0.01f, 8}, {8, 0.01f, 0}, m);
+    addQuad(s, {0, 0.01f + gap, 0}, {8, 0.01f + gap, 0}, {8, 0.01f + gap, 8}, {0, 0.01f + gap, 8}, m);
+    const CastScene c = cast(std::move(s), 1, 256);
+    for (uint32_t p = 0; p < c.set.patches.size(); ++p) {
+      const Vec3 at = c.set.patches[p].centroid;
+      if (std::min({at.x, at.z, 8 - at.x, 8 - at.z}) > 2.5f) {
+        EXPECT_EQ(c.rows.narrow[p], steps) << gap << " cells";
+      }
+    }
   }
+}
+
+TEST(FormFactor, WhatOfAPatchIsInAPocketTakesNoPart) {
+  // A closed box with a tongue through its side, half in and half out: a crumb, not worth cutting on.
+  Scene s;
+  const uint32_t m = addMaterial(s, {.9f, .9f, .9f});
+  s.materials[m].double_sided = true;
+  addBlock(s, {0.3f, 0.3f, 0.3f}, {0.6f, 0.6f, 0.6f}, m);
+  addQuad(s, {0.45f, 0.4f, 0.5f}, {0.45f, 0.4f, 0.7f}, {0.5f, 0.4f, 0.7f}, {0.5f, 0.4f, 0.5f}, m);
+  const CastScene c = cast(std::move(s), 1, 512);
+  EXPECT_NEAR(c.set.sealed_m2, 6 * 0.3 * 0.3, 0.001);
+  double exposed = 0;
+  for (uint32_t i = 0; i < c.set.patches.size(); ++i) {
+    exposed += static_cast<double>(c.set.patches[i].area_m2 * exposedFraction(c.rows, i));
+    EXPECT_LT(c.rows.absorbed[i], 8u);
+  }
+  EXPECT_NEAR(c.set.area_m2, 6 * 0.3 * 0.3 + 2 * 0.05 * 0.2, 1e-6);
+  EXPECT_NEAR(exposed, 6 * 0.3 * 0.3 + 2 * 0.05 * 0.1, 0.001);
+}
+
+TEST(FormFactor, LampsCastMoreRaysAndAreKnownFromTheirOwnEnd) {
+  // A small lamp over a floor: what the floor gets of it, by pooled rows, against 64 times the rays.
+  Scene s;
+  const uint32_t floor = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {.5f, .5f, .5f}, {10, 10, 10});
+  addQuad(s, {0, 0, 0}, {0, 0, 16}, {16, 0, 16}, {16, 0, 0}, floor);
+  addQuad(s, {8, 2.5f, 8}, {8.5f, 2.5f, 8}, {8.5f, 2.5f, 8.5f}, {8, 2.5f, 8.5f}, lamp);
+  const auto fromLamp = [&](const CastScene& c) {
+    const PooledPatches pooled(c.rows, areasOf(c));
+    std::vector<double> f;
+    ExchangeRow row;
+    for (uint32_t i = 0; i < c.set.patches.size(); ++i) {
+      pooled.row(i, row);
+      double x = 0;
+      for (size_t k = 0; k < row.column.size(); ++k)
+        if (c.set.patches[row.column[k]].shines) x += row.area_m2[k];
+      f.push_back(x / static_cast<double>(c.set.patches[i].area_m2));
+    }
+    return f;
+  };
+  const auto error = [&](const std::vector<double>& f, const std::vector<double>& truth) {
+    double e = 0, t = 0;
+    for (size_t i = 0; i < f.size(); ++i) e += (f[i] - truth[i]) * (f[i] - truth[i]), t += truth[i] * truth[i];
+    return std::sqrt(e / t);
+  };
+  const CastScene fine = cast(s, 1, 32768, 9), c = cast(s, 1, 512);
+  for (uint32_t i = 0; i < c.set.patches.size(); ++i) EXPECT_EQ(c.rows.rays[i], c.set.patches[i].shines ? 4096u : 512u);
+  CastScene plain = c;  // as if the lamp had cast no more than the others: the first 512 of its rays are as good as any
+  for (uint32_t i = 0; i < c.set.patches.size(); ++i)
+    if (c.set.patches[i].shines) {
+      plain.rows.rays[i] = 512;
+      for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) plain.rows.count[k] = 0;
+      for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k)
+        plain.rows.count[k] = static_cast<uint16_t>(c.rows.count[k] / 8 + (mix64(k) % 8 < c.rows.count[k] % 8u));
+    }
+  const auto truth = fromLamp(fine);
+  const double with = error(fromLamp(c), truth), without = error(fromLamp(plain), truth);
+  EXPECT_LT(with, 0.6 * without) << with << " " << without;
 }
 
 TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {

@@ -107,7 +107,10 @@ TEST_F(HeatPicture, TheWorstPlaceIsThatWithTheLargestError) {
   std::sort(ranked.rbegin(), ranked.rend());
   EXPECT_GT(ranked[0].first, 1.2 * ranked[1].first) << "or their order says little";
   EXPECT_NE((*pictures)[0].note.find(ranked[0].second), std::string::npos) << (*pictures)[0].note;
-  EXPECT_NE((*pictures)[1].note.find(ranked[1].second), std::string::npos) << (*pictures)[1].note;
+  // Errors below the tracer's noise are all 0, and in no order.
+  if (ranked[1].first > 0) {
+    EXPECT_NE((*pictures)[1].note.find(ranked[1].second), std::string::npos) << (*pictures)[1].note;
+  }
   for (const Illustration& p : *pictures) {
     EXPECT_GT(std::filesystem::file_size(folder_.file(p.file)), 1000u);
     std::ifstream file(folder_.file(p.file), std::ios::binary);

@@ -1,0 +1,32 @@
+// Where rays start on a triangle and where they go: uniformly over its area, cosine-distributed over its hemisphere.
+#pragma once
+#include <cmath>
+#include <numbers>
+
+#include "formats/vec3.h"
+
+namespace ff::bake {
+
+struct Frame {
+  Vec3 normal, tangent, bitangent;
+};
+
+// Tom Duff et al. Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
+inline Frame frameOf(Vec3 n) {
+  const float sign = std::copysign(1.0f, n.z), a = -1.0f / (sign + n.z), c = n.x * n.y * a;
+  return {n, {1.0f + sign * n.x * n.x * a, sign * c, -sign * n.x}, {c, sign + n.y * n.y * a, -n.y}};
+}
+
+// u, v in [0, 1). Greg Turk. Generating random points in triangles. Graphics Gems, 1990.
+inline Vec3 pointInTriangle(Vec3 a, Vec3 b, Vec3 c, float u, float v) {
+  const float r = std::sqrt(u);
+  return a * (1 - r) + b * (r * (1 - v)) + c * (r * v);
+}
+
+// u, v in [0, 1). Unit.
+inline Vec3 cosineDirection(const Frame& frame, float u, float v) {
+  const float r = std::sqrt(u), phi = 2 * std::numbers::pi_v<float> * v;
+  return frame.tangent * (r * std::cos(phi)) + frame.bitangent * (r * std::sin(phi)) + frame.normal * std::sqrt(1 - u);
+}
+
+}  // namespace ff::bake
