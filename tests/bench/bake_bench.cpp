@@ -104,8 +104,8 @@ int main(int argc, char** argv) {
   const std::string name = "voxel town, 4096 rays, Q = 512";
 
   const Scene scene = town(folder, patches);
-  const PatchSet set = orExit(makePatches(scene, {.cell_m = 1}));
   const RayCaster caster = orExit(RayCaster::create(scene));
+  const PatchSet set = orExit(makePatches(scene, {.cell_m = 1}, &caster));
   const double before = bareRaysPerSecond(scene, set, caster, 4096);
   const BakeStats stats = orExit(bakeWorld(scene, {.cell_m = 1}, (folder / "town.ffm").string()));
   const double after = bareRaysPerSecond(scene, set, caster, 4096);
@@ -135,8 +135,8 @@ int main(int argc, char** argv) {
             std::to_string(little_stats.levels[0].nodes));
 
   const Scene probe = town(folder, accurate);
-  const PatchSet probe_set = orExit(makePatches(probe, {.cell_m = 1}));
   const RayCaster probe_caster = orExit(RayCaster::create(probe));
+  const PatchSet probe_set = orExit(makePatches(probe, {.cell_m = 1}, &probe_caster));
   print("bake.measured_error", rowError(probe, probe_set, probe_caster, 4096, 512), "relative L2", kNoLimit,
         "reflected radiosity, sun and sky, against pooled rows of 16384 other rays; " +
             std::to_string(probe_set.patches.size()) + " patches");

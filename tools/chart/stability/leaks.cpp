@@ -83,10 +83,10 @@ struct PatchLeak {
 };
 
 Result<PatchLeak> leakOfPatches(const Scene& scene, float cell_m, uint32_t rays, uint64_t seed) {
-  auto set = makePatches(scene, {.cell_m = cell_m});
-  if (!set) return set.error();
   const auto caster = RayCaster::create(scene);
   if (!caster) return caster.error();
+  auto set = makePatches(scene, {.cell_m = cell_m}, &*caster);
+  if (!set) return set.error();
   std::atomic<uint64_t> done{0};
   const PatchRows rows = pooledRows(*set, castRows(scene, *set, *caster, rays, seed, done), 512);
   std::vector<double> source;

@@ -59,10 +59,10 @@ struct Cast {
   std::optional<RayCaster> caster;
 };
 Result<Cast> prepare(const Scene& scene, float cell_m) {
-  auto set = makePatches(scene, {.cell_m = cell_m});
-  if (!set) return set.error();
   auto caster = RayCaster::create(scene);
   if (!caster) return caster.error();
+  auto set = makePatches(scene, {.cell_m = cell_m}, &*caster);
+  if (!set) return set.error();
   return Cast{std::move(*set), std::move(*caster)};
 }
 
