@@ -20,9 +20,9 @@
 
 namespace ff::bake {
 
-// A patch is narrow where most of its rays (kMostRays) end within two cells, as in an alley, and very narrow where they end
-// within half of one.
-inline constexpr std::array<float, 2> kNarrowCells = {2, 0.5f};
+// A patch is narrow where most of its rays (kMostRays) end within four cells, as in an alley or a thick wall, and very narrow
+// where they end within one.
+inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
 inline constexpr double kMostRays = 0.6;
 
 // Lamps are few and light much: they cast up to this many times the rays of a patch, as long as all together cast no more

@@ -20,7 +20,7 @@ inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at
 inline constexpr uint32_t kMaxSiblings = 64;
 
 // Openness class of a patch: 0 interior, 1 half open, 2 open, by the fraction of its rays that reach the sky; 3 and 4 an
-// interior that is narrow (an alley, the space between two walls) or very much so (a crevice): HitRows::narrow.
+// interior that is narrow (an alley, the space inside a thick wall) or very much so (a crevice): HitRows::narrow.
 inline constexpr uint32_t kOpennesses = 5;
 uint32_t openness(double sky_fraction, uint32_t narrow = 0);
 

@@ -245,18 +245,18 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   }
 }
 
-TEST(FormFactor, APlaceIsNarrowWhereMostRaysEndWithinTwoCellsAndMoreSoWithinHalfOfOne) {
+TEST(FormFactor, APlaceIsNarrowWhereMostRaysEndWithinFourCellsAndMoreSoWithinOne) {
   // Between two plates `gap` cells apart a ray at angle t to the normal is gap / cos t long: of cosine-weighted rays a
   // share 1 - (gap / reach)^2 ends within reach.
-  for (const auto& [gap, steps] : {std::pair{0.25f, 2}, {0.45f, 1}, {1.1f, 1}, {1.5f, 0}}) {
+  for (const auto& [gap, steps] : {std::pair{0.5f, 2}, {0.8f, 1}, {2.3f, 1}, {2.8f, 0}}) {
     Scene s;
     const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
-    addQuad(s, {0, 0.01f, 0}, {0, 0.01f, 8}, {8, 0.01f, 8}, {8, 0.01f, 0}, m);
-    addQuad(s, {0, 0.01f + gap, 0}, {8, 0.01f + gap, 0}, {8, 0.01f + gap, 8}, {0, 0.01f + gap, 8}, m);
+    addQuad(s, {0, 0.01f, 0}, {0, 0.01f, 16}, {16, 0.01f, 16}, {16, 0.01f, 0}, m);
+    addQuad(s, {0, 0.01f + gap, 0}, {16, 0.01f + gap, 0}, {16, 0.01f + gap, 16}, {0, 0.01f + gap, 16}, m);
     const CastScene c = cast(std::move(s), 1, 256);
     for (uint32_t p = 0; p < c.set.patches.size(); ++p) {
       const Vec3 at = c.set.patches[p].centroid;
-      if (std::min({at.x, at.z, 8 - at.x, 8 - at.z}) > 2.5f) {
+      if (std::min({at.x, at.z, 16 - at.x, 16 - at.z}) > 5) {
         EXPECT_EQ(c.rows.narrow[p], steps) << gap << " cells";
       }
     }
