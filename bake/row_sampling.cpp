@@ -6,6 +6,8 @@
 #include <tuple>
 #include <utility>
 
+#include "formats/layout.h"
+
 namespace ff::bake {
 namespace {
 
@@ -30,7 +32,7 @@ uint32_t quantaFor(const ExchangeRow& row, uint32_t quanta, std::span<const uint
   if (!(lamps > 0)) return quanta;
   uint32_t best = quanta;
   double least = std::numeric_limits<double>::infinity();
-  for (uint32_t q = quanta; q <= std::min(65535u, quanta + quanta / 4) && least > kClose; ++q) {
+  for (uint32_t q = quanta; q <= formats::mostQuanta(quanta) && least > kClose; ++q) {
     const double counts = lamps / sum * q;
     if (const double off = std::abs(counts - std::round(counts)) / counts; off < least) {
       least = off;

@@ -88,13 +88,16 @@ struct LevelInfo {
   float cell_m = 0;              // edge of this level's grid cell
 };
 
+// A row may take up to a quarter more quanta than were asked for: bake/row_sampling.h says why.
+inline constexpr uint32_t mostQuanta(uint32_t asked) { return asked + asked / 4 < kMaxQuanta ? asked + asked / 4 : kMaxQuanta; }
+
 // What the baker was told and what it measured; the head of the manifest.
 struct WorldInfo {
   float cell_m = 1;              // patch size
   Vec3 grid_origin;              // corner of level-0 cell (0,0,0); cell = floor((p - origin) / cell_m)
   Box bounds;                    // m
   uint32_t rays = 0;             // per patch
-  uint32_t quanta = 0;           // Q asked for
+  uint32_t quanta = 0;           // Q asked for; a row has at most mostQuanta() of them
   uint64_t seed = 0;
   std::array<uint8_t, 16> bake_key{};   // XXH3-128 of scene bytes, settings and code version
   std::string generator;         // "ffbake 0.1.0"
