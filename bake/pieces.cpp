@@ -201,12 +201,13 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
   if (share >= kClosed && scene_.materials[scene_.triangles[piece.triangle].material].emission == Vec3{}) {
     enclosure = Enclosure::kPocket;
     for (uint32_t k = 0; k < std::min(kWalks, near) && enclosure == Enclosure::kPocket; ++k)
-      if (getsOut(rays[k], rays[k].origin, mix64(id + k))) enclosure = Enclosure::kCrevice;
+      if (getsOut(rays[k], mix64(id + k))) enclosure = Enclosure::kCrevice;
   }
   return {enclosure, share > kOpen && share < kClosed};
 }
 
-bool PieceCutter::getsOut(Ray ray, Vec3 start, uint64_t seed) const {
+bool PieceCutter::getsOut(Ray ray, uint64_t seed) const {
+  const Vec3 start = ray.origin;
   for (uint32_t bounce = 0; bounce < kBounces; ++bounce) {
     const Hit hit = caster_->nearest(ray, 2 * kOut * cell_m_);
     if (hit.triangle == kNone || length(hit.point - start) > kOut * cell_m_) return true;

@@ -62,7 +62,7 @@ class PieceCutter {
     bool mixed;  // may be of two kinds
   };
   Sight look(const Piece& piece, bool back) const;
-  bool getsOut(Ray ray, Vec3 start, uint64_t seed) const;
+  bool getsOut(Ray ray, uint64_t seed) const;
 
   const Scene& scene_;
   const RayCaster* caster_;

@@ -105,13 +105,7 @@ TEST_F(Bake, APatchHalfInsideASolidIsAsBrightAsItsExposedHalf) {
   Scene s;
   const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
   addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 1}, {1, 0.5f, 1}, {1, 0.5f, 0}, m);
-  const auto p = [](float x, float y, float z) { return Vec3{0.5f + x, 0.2f + 0.7f * y, -1 + 3 * z}; };
-  addQuad(s, p(0, 1, 0), p(0, 1, 1), p(3, 1, 1), p(3, 1, 0), m);
-  addQuad(s, p(0, 0, 0), p(3, 0, 0), p(3, 0, 1), p(0, 0, 1), m);
-  addQuad(s, p(3, 0, 0), p(3, 1, 0), p(3, 1, 1), p(3, 0, 1), m);
-  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), m);
-  addQuad(s, p(0, 0, 1), p(3, 0, 1), p(3, 1, 1), p(0, 1, 1), m);
-  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(3, 1, 0), p(3, 0, 0), m);
+  addBlock(s, {0.5f, 0.2f, -1}, {3.5f, 0.9f, 2}, m);
   const auto stats = bakeWorld(s, {.cell_m = 1, .rays = 4096, .quanta = 4096}, path("buried.ffm"));
   ASSERT_TRUE(stats);
   EXPECT_LT(stats->absorbed_fraction, 0.01);  // the block's foot sees the floor's back

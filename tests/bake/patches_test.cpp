@@ -19,13 +19,7 @@ TEST(Patches, TheFacesOfAVoxelLieInTheVoxelsOwnCell) {
   // Unit cube (2..3, 4..5, -1..0), faces outwards: the grid planes it lies in also bound six other cells.
   Scene s;
   const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
-  const auto p = [](int x, int y, int z) { return Vec3{2.0f + static_cast<float>(x), 4.0f + static_cast<float>(y), -1.0f + static_cast<float>(z)}; };
-  addQuad(s, p(0, 1, 0), p(0, 1, 1), p(1, 1, 1), p(1, 1, 0), m);
-  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1), m);
-  addQuad(s, p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1), m);
-  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), m);
-  addQuad(s, p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1), m);
-  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0), m);
+  addBlock(s, {2, 4, -1}, {3, 5, 0}, m);
   const auto set = makePatches(s, {.cell_m = 1});
   ASSERT_TRUE(set);
   ASSERT_EQ(set->patches.size(), 6u);

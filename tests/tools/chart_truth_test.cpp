@@ -248,15 +248,7 @@ TEST(PathTracer, AnOccluderShadesWhatLiesUnderIt) {
 TEST(PathTracer, APatchMostlyBuriedIsWorthWhatIsSeenOfIt) {
   bake::Scene scene;
   level(scene, 0, 0, true, addMaterial(scene, kGrey));
-  const uint32_t solid = addMaterial(scene, kBlack);
-  const Vec3 lo{-0.5f, -0.25f, -0.5f}, hi{0.97f, 0.25f, 1.5f};
-  const auto at = [&](int x, int y, int z) { return Vec3{x ? hi.x : lo.x, y ? hi.y : lo.y, z ? hi.z : lo.z}; };
-  addQuad(scene, at(0, 0, 0), at(0, 0, 1), at(0, 1, 1), at(0, 1, 0), solid);
-  addQuad(scene, at(1, 0, 0), at(1, 1, 0), at(1, 1, 1), at(1, 0, 1), solid);
-  addQuad(scene, at(0, 0, 0), at(1, 0, 0), at(1, 0, 1), at(0, 0, 1), solid);
-  addQuad(scene, at(0, 1, 0), at(0, 1, 1), at(1, 1, 1), at(1, 1, 0), solid);
-  addQuad(scene, at(0, 0, 0), at(0, 1, 0), at(1, 1, 0), at(1, 0, 0), solid);
-  addQuad(scene, at(0, 0, 1), at(1, 0, 1), at(1, 1, 1), at(0, 1, 1), solid);
+  bake::test::addBlock(scene, {-0.5f, -0.25f, -0.5f}, {0.97f, 0.25f, 1.5f}, addMaterial(scene, kBlack));
   const Traced t(std::move(scene), 2);
   const Lighting light{.name = "sun", .sky = {}, .to_sun = {0, 1, 0}, .sun = {10, 10, 10}};
   const std::vector<uint32_t> floor = t.facing({0, 1, 0}, 0);

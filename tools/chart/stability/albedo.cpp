@@ -87,18 +87,7 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
   Series needed{.name = "gather", .points = {}}, expected{.name = "log 0.01 / log albedo", .points = {}, .dots = false};
   std::vector<Measured> by_method;
   const auto add = [&](const std::string& method, double albedo, double error, const std::string& then) {
-    auto at = std::find_if(by_method.begin(), by_method.end(), [&](const Measured& m) { return m.method == method; });
-    if (at == by_method.end()) {
-      by_method.push_back({.scene = "closed box, " + numberText(swaps) + " swaps",
-                           .method = method,
-                           .knob = "albedo",
-                           .unit = "",
-                           .points = {},
-                           .then = {}});
-      at = by_method.end() - 1;
-    }
-    at->points.push_back({albedo, error});
-    at->then = then;  // at the hardest
+    addPoint(by_method, "closed box, " + numberText(swaps) + " swaps", method, albedo, error, then);
   };
   for (const float albedo : albedosOf(options.quick)) {
     const double rho = rounded(albedo);

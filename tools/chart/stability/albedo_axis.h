@@ -1,5 +1,6 @@
 // What the experiments on albedo share: the albedos tried and the axis they are drawn on.
 #pragma once
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -18,6 +19,18 @@ inline std::vector<float> albedosOf(bool quick) {
 }
 
 inline double rounded(float albedo) { return std::round(static_cast<double>(albedo) * 1e4) / 1e4; }
+
+// One more point of a method's line, which begins with its first; then: what the program does at the hardest so far.
+inline void addPoint(std::vector<Measured>& by_method, const std::string& scene, const std::string& method, double albedo,
+                     double error, std::string then) {
+  auto at = std::find_if(by_method.begin(), by_method.end(), [&](const Measured& m) { return m.method == method; });
+  if (at == by_method.end()) {
+    by_method.push_back({.scene = scene, .method = method, .knob = "albedo", .unit = "", .points = {}, .then = {}});
+    at = by_method.end() - 1;
+  }
+  at->points.push_back({albedo, error});
+  at->then = std::move(then);
+}
 
 inline Chart albedoChart(std::string id, std::string title, std::string y_label, std::string note) {
   Chart chart;

@@ -92,18 +92,9 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
                                 numberText(static_cast<double>(furnace->baked.stats().clamped_nodes)) + " albedos to " +
                                 numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4);
     const auto add = [&](const std::string& method, Result<double> energy) {
-      auto at = std::find_if(by_method.begin(), by_method.end(), [&](const Measured& m) { return m.method == method; });
-      if (at == by_method.end()) {
-        by_method.push_back({.scene = "energy of a furnace (share gained or lost)",
-                             .method = method,
-                             .knob = "albedo",
-                             .unit = "",
-                             .points = {},
-                             .then = {}});
-        at = by_method.end() - 1;
-      }
-      at->points.push_back({rho, energy && std::isfinite(*energy) ? *energy : std::numeric_limits<double>::infinity()});
-      at->then = energy ? "at albedo " + numberText(rho) + " " + clamped : energy.error().message;
+      addPoint(by_method, "energy of a furnace (share gained or lost)", method, rho,
+               energy && std::isfinite(*energy) ? *energy : std::numeric_limits<double>::infinity(),
+               energy ? "at albedo " + numberText(rho) + " " + clamped : energy.error().message);
     };
     std::vector<double> source;
     for (const formats::TileInfo& info : furnace->baked.world().tiles(0)) {
