@@ -35,7 +35,13 @@ class CpuGather final : public Solver {
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
-    if (all) from_.clear();
+    // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
+    for (auto* per_slot : {&from_, &to_, &before_}) {
+      if (all)
+        per_slot->clear();
+      else
+        for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
+    }
     for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
     child_weight_.resize(matrix.slots());
     if (all) {

@@ -26,7 +26,7 @@ class Solver {
   // k steps towards the solution under a light that stays, by the quickest way that the solver knows; what lies between
   // is no picture. By default iterate(k).
   virtual Result<void> approach(int k) { return iterate(k); }
-  // Copies the radiosity of every slot, W/m2.
+  // Copies the radiosity of every slot, W/m2; 0 for free slots once a step has been made.
   virtual Result<void> radiosity(std::span<Vec4> out) = 0;
   // Time of the last iterate(), ms, on the clock of the device that ran it.
   virtual double lastMs() const = 0;

@@ -24,7 +24,10 @@ void main() {
   const uint lane = subgroupExclusiveAdd(1u);
   for (uint slot = gl_WorkGroupID.x * gl_NumSubgroups + gl_SubgroupID; slot < push.slots;
        slot += gl_NumWorkGroups.x * gl_NumSubgroups) {
-    if (kinds[slot] != kLeaf) continue;
+    if (kinds[slot] != kLeaf) {  // a free one is 0 in both buffers: a light that has settled settles there, too
+      if (kinds[slot] == kFree && push.segment == 0u && lane == 0u) after[slot] = vec4(0);
+      continue;
+    }
     const GatherRow row = rows[slot];
     if (row.segment != push.segment) continue;
     const uint vectors = (row.entries + kEntriesPerLoad - 1u) / kEntriesPerLoad;

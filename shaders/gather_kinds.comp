@@ -13,7 +13,7 @@ void main() {
   if (slot >= push.count) return;
   const uint parent = parents[slot];
   if (push.groups == 0u)
-    kinds[slot] = parent == kFreeSlot ? 0u : kLeaf;
+    kinds[slot] = parent == kFreeSlot ? kFree : kLeaf;
   else if (parent < kFreeSlot)
     kinds[parent] = kRefined;  // siblings write the same
 }

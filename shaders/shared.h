@@ -26,7 +26,8 @@ FF_CONST uint kPageNodes = 256u;        // slots in a page of the page table, tw
 FF_CONST uint kNodeWords = 6u;          // of a packed tile: albedo r, g, b, area, 1 / Q, parent's slot
 FF_CONST uint kTopSlot = 0xffffffffu;   // for a parent's slot: there is none
 FF_CONST uint kFreeSlot = 0xfffffffeu;  // the slot itself is free
-FF_CONST uint kLeaf = 1u;               // kinds of slots; 0: free
+FF_CONST uint kFree = 0u;               // kinds of slots
+FF_CONST uint kLeaf = 1u;
 FF_CONST uint kRefined = 2u;
 
 // A slot's row among the resolved entries.

@@ -117,6 +117,24 @@ TEST(Updater, ConvergedRadiosityDependsOnTheObserverAloneNotOnThePath) {
   EXPECT_LE(difference, 2 * 9 * 1e-7f * largest + 1e-6f * largest);
 }
 
+TEST(Updater, LightSettlesWhateverTilesThatLeftHadInTheirSlots) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  Walker walker(test);
+  const auto moveTo = [&](Vec3 at, int iterations) {
+    ASSERT_TRUE(walker.updater.frame(at, {}, 0));
+    ASSERT_TRUE(walker.streamer->settle());
+    ASSERT_TRUE(walker.updater.frame(at, {}, iterations));
+  };
+  for (int i = 0; i < 40; ++i) {  // light on its way, an odd and an even number of steps from one cut to the next
+    walker.strength = 1 + static_cast<float>(i % 3);
+    walker.updater.lightChanged();
+    moveTo({static_cast<float>(i * 37 % 64), 1, static_cast<float>(i * 23 % 64)}, i % 3);
+  }
+  const auto iterations = walker.updater.converge(1e-5f, 1000);
+  ASSERT_TRUE(iterations);
+  EXPECT_LT(*iterations, 200);  // albedo <= 0.9 shrinks a change to a hundred thousandth in 110 steps
+}
+
 TEST(Updater, RadiosityCarriesOverByNodeWhenTheCutChanges) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   Walker walker(test);
