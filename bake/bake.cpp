@@ -16,6 +16,7 @@
 #include <thread>
 
 #include "bake/form_factor.h"
+#include "bake/patch_size.h"
 #include "bake/patches.h"
 #include "bake/pool.h"
 #include "bake/pyramid.h"
@@ -92,26 +93,6 @@ Result<Scene> without(const Scene& scene, const std::vector<std::string>& names)
                    "see the file's materials"};
   }
   return rest;
-}
-
-// Cuts with the given patch size, or finds the size that meets the budget within 10 % (four cuts at most).
-Result<PatchSet> choosePatches(const Scene& scene, const RayCaster& caster, const BakeSettings& s) {
-  if (s.cell_m > 0) return makePatches(scene, {.cell_m = s.cell_m, .metals = s.metals}, &caster);
-  double area = 0;
-  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
-    area += static_cast<double>(triangleArea(scene, t)) * (scene.materials[scene.triangles[t].material].double_sided ? 2 : 1);
-  }
-  double cell = std::sqrt(area / s.patch_budget);
-  bool look = false;  // for what is enclosed: takes longer, so only when the size is about right
-  for (int attempt = 0;; ++attempt) {
-    auto set = makePatches(scene, {.cell_m = static_cast<float>(cell), .metals = s.metals}, look ? &caster : nullptr);
-    if (!set) return set;
-    const double ratio = static_cast<double>(set->patches.size()) / s.patch_budget;
-    const bool met = ratio < 1.1 && ratio > 0.9;
-    if (look && (met || attempt >= 3)) return set;
-    look = met || attempt >= 2;
-    cell *= std::sqrt(ratio);
-  }
 }
 
 // What sampling a tile's rows showed.
@@ -217,7 +198,8 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   if (!caster) return caster.error();
   auto set = [&] {
     ProgressReport report(progress, "patches", 1);
-    return choosePatches(scene, *caster, settings);
+    const PatchSettings cut{.cell_m = settings.cell_m, .metals = settings.metals};
+    return settings.cell_m > 0 ? makePatches(scene, cut, &*caster) : patchesWithin(settings.patch_budget, scene, cut, *caster);
   }();
   if (!set) return set.error();
   const size_t n = set->patches.size();
