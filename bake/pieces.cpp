@@ -92,6 +92,8 @@ std::vector<std::pair<Cell, Polygon>> clipToGrid(const Polygon& polygon, double 
 // unless it is a crumb anyway. Past kClosed, kWalks random walks of kBounces look for a way out, kOut cells from where they
 // start, or a lamp: without one, it is a pocket. (What is sealed and reflects nearly all would be filled with light by the
 // least that seeps in.)
+// Nearer than 1 - kTouch of the way to where rays start, two surfaces are one to rounding, and neither is covered.
+constexpr float kTouch = 0.9f;
 constexpr uint32_t kFew = 8, kOfCrumbs = 16, kWalks = 4, kBounces = 16;
 constexpr float kNear = 1, kOut = 1;
 constexpr double kOpen = 0.15, kCrevice = 0.8, kClosed = 0.95, kLeastCells = 0.05;
@@ -174,10 +176,10 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
   for (const int32_t x : piece.cube) id = mix64(id) + static_cast<uint32_t>(x);
   const auto seeds = SobolTable::seeds(0, id);
   const bool cutout = scene_.materials[scene_.triangles[piece.triangle].material].cutout;
-  uint32_t cast = 0, near = 0;
+  uint32_t cast = 0, near = 0, covered = 0;
   std::array<Ray, kMostProbes> rays;  // those that end near
   for (uint32_t k = 0; k < (isCrumb(piece) ? kOfCrumbs : kMostProbes); ++k) {
-    if (k == kFew && near == 0) break;
+    if (k == kFew && near == 0 && covered % kFew == 0) break;
     const auto u = points_.point(k, seeds);
     const float x = u[0] * area.back();
     const auto at = std::min<size_t>(static_cast<size_t>(std::upper_bound(area.begin(), area.end(), x) - area.begin()), area.size() - 1);
@@ -188,6 +190,10 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
       const auto [b, c] = barycentric(scene_, piece.triangle, origin);
       if (isHole(scene_, piece.triangle, b, c)) continue;
     }
+    if (isCovered(piece.triangle, origin, frame.normal)) {
+      ++covered;
+      continue;
+    }
     ++cast;
     const Ray ray{origin + frame.normal * caster_->surfaceOffset(), cosineDirection(frame, u[2], u[3])};
     const Hit hit = caster_->nearest(ray, kNear * cell_m_);
@@ -196,6 +202,7 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
     rays[near] = ray;
     if (hit.front || scene_.materials[scene_.triangles[hit.triangle].material].double_sided) ++near;
   }
+  if (covered > cast) return {Enclosure::kPocket, cast > 0};
   const double share = cast > 0 ? static_cast<double>(near) / cast : 0;
   Enclosure enclosure = share > kCrevice ? Enclosure::kCrevice : Enclosure::kOpen;
   if (share >= kClosed && scene_.materials[scene_.triangles[piece.triangle].material].emission == Vec3{}) {
@@ -203,7 +210,16 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
     for (uint32_t k = 0; k < std::min(kWalks, near) && enclosure == Enclosure::kPocket; ++k)
       if (getsOut(rays[k], mix64(id + k))) enclosure = Enclosure::kCrevice;
   }
-  return {enclosure, share > kOpen && share < kClosed};
+  return {enclosure, covered > 0 || (share > kOpen && share < kClosed)};
+}
+
+// Another surface lies on it, nearer than rays start: a picture on its wall. They would start in front of that and see all the
+// same, while nothing sees where they come from.
+bool PieceCutter::isCovered(uint32_t triangle, Vec3 point, Vec3 normal) const {
+  const float above = caster_->surfaceOffset();
+  const Hit hit = caster_->nearest({point + normal * above, normal * -1.0f}, kTouch * above);
+  return hit.triangle != kNone && hit.triangle != triangle &&
+         (hit.front || scene_.materials[scene_.triangles[hit.triangle].material].double_sided);
 }
 
 bool PieceCutter::getsOut(Ray ray, uint64_t seed) const {

@@ -34,7 +34,7 @@ inline constexpr int kDeepestPiece = 3;  // a piece lies in a cube of cell / 2^d
 enum class Enclosure : uint8_t {
   kOpen,
   kCrevice,  // most of what it sees is nearer than a cell: behind a skirting board, inside a step
-  kPocket    // light gets neither in nor out, and nothing shines inside: a closed tube
+  kPocket    // light gets neither in nor out, and nothing shines inside: a closed tube, what another surface lies on
 };
 
 struct Piece {
@@ -62,6 +62,7 @@ class PieceCutter {
     bool mixed;  // may be of two kinds
   };
   Sight look(const Piece& piece, bool back) const;
+  bool isCovered(uint32_t triangle, Vec3 point, Vec3 normal) const;
   bool getsOut(Ray ray, uint64_t seed) const;
 
   const Scene& scene_;

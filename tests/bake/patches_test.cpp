@@ -51,6 +51,30 @@ TEST(Patches, FloorsOnBothSidesOfAThinWallAreTwoPatches) {
   EXPECT_EQ(set->patches.size(), 2u);
 }
 
+// A rug on the near half of a floor of 1 m, so much above it.
+PatchSet floorUnderRug(float gap_m) {
+  Scene s;
+  const uint32_t floor = addMaterial(s, {.2f, .2f, .2f}), rug = addMaterial(s, {.8f, .8f, .8f});
+  addQuad(s, {0, .5f, 0}, {0, .5f, 1}, {1, .5f, 1}, {1, .5f, 0}, floor);
+  addQuad(s, {0, .5f + gap_m, 0}, {0, .5f + gap_m, 1}, {.5f, .5f + gap_m, 1}, {.5f, .5f + gap_m, 0}, rug);
+  const auto caster = RayCaster::create(s);
+  return *makePatches(s, {.cell_m = 1}, &*caster);
+}
+
+TEST(Patches, WhatLiesUnderARugTakesNoPart) {
+  const PatchSet set = floorUnderRug(1.5e-6f);  // rays start 3e-6 m off
+  ASSERT_EQ(set.patches.size(), 1u);
+  EXPECT_NEAR(set.patches[0].area_m2, 1, 1e-3);
+  EXPECT_NEAR(set.patches[0].albedo.x, .5, 1e-3);
+  EXPECT_NEAR(set.sealed_m2, .5, 1e-3);
+}
+
+TEST(Patches, TwoSurfacesInOnePlaneDoNotHideEachOther) {
+  const PatchSet set = floorUnderRug(0);
+  ASSERT_EQ(set.patches.size(), 1u);
+  EXPECT_NEAR(set.patches[0].area_m2, 1.5, 1e-3);
+}
+
 TEST(Patches, ALampAndItsFittingAreNeverOnePatch) {
   // A lamp in the middle of a plate, edge to edge with it; and a crumb of a lamp, which does not join a dark patch either.
   Scene s;
