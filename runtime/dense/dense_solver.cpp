@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/dense/entering_blocks.h"
+#include "runtime/dense/cut_places.h"
 #include "runtime/gather_kernels.h"
 #include "runtime/worker_pool.h"
 
@@ -32,38 +32,22 @@ class Dense final : public DenseSolver {
         settings_(settings),
         limit_(settings.probe_limit > 0 ? settings.probe_limit : defaultProbeLimit(bounces_->name())),
         pool_(settings.threads),
-        name_(std::string("dense: ") + bounces_->name()) {
+        name_(std::string("dense: ") + bounces_->name()),
+        places_(bounces_->capacity()) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* v : {&source_, &irradiance_, &radiosity_, &scale_, &minus_, &residual_, &work_}) v->reserve(kMaxSlots);
-    place_of_slot_.reserve(kMaxSlots);
-    old_place_.reserve(kMaxSlots);
-    refused_.reserve(kMaxSlots);
-    slot_of_place_.assign(bounces_->capacity(), kNoSlot);
     by_place_.assign(bounces_->capacity(), {});
     out_by_place_.assign(bounces_->capacity(), {});
-    for (auto* list : {&leaving_, &entering_, &sampled_, &probe_places_}) list->reserve(kMaxSlots);
+    for (auto* list : {&sampled_, &probe_places_}) list->reserve(kMaxSlots);
     probe_x_.reserve(bounces_->capacity());
-    tiles_before_.reserve(kMaxSlots / 16);
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     const bool first = std::exchange(matrix_, &matrix) != &matrix;
     const uint32_t slots = matrix.slots();
-    leaving_.clear();
-    if (first) {
-      place_of_slot_.assign(slots, kNoPlace);
-      std::fill(slot_of_place_.begin(), slot_of_place_.end(), kNoSlot);
+    if (first)
       if (auto cleared = bounces_->clear(); !cleared) return cleared;
-    } else if (change.renumbered) {
-      renumber();
-    } else {
-      for (const SlotRange& range : change.left)
-        for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) giveUpPlace(s);
-    }
-    place_of_slot_.resize(slots, kNoPlace);
-    for (const uint32_t slot : slot_of_place_)
-      if (slot != kNoSlot && !matrix.leaf[slot]) giveUpPlace(slot);
-    tiles_before_ = matrix.tiles;
+    const std::span<const uint32_t> leaving = places_.update(matrix, change, first);
 
     const bool anew = first || change.renumbered;
     if (first) fresh_ = -1, untouched_ = true;
@@ -72,7 +56,6 @@ class Dense final : public DenseSolver {
       v->resize(slots);
     }
     for (auto* v : {&scale_, &minus_, &residual_, &work_}) v->assign(slots, {});
-    refused_.assign(slots, 0);
     for (const uint32_t s : matrix.leaves)
       scale_[s] = {matrix.row_scale[s], matrix.row_scale[s], matrix.row_scale[s], 0};
     if (!anew)
@@ -85,11 +68,10 @@ class Dense final : public DenseSolver {
         }
       }
     before_ = -1;
-    blocks_.takeUp(matrix);
-    if (!leaving_.empty()) {
+    if (!leaving.empty()) {
       untouched_ = false;
-      stats_.left += leaving_.size();
-      if (auto removed = bounces_->remove(leaving_); !removed) {
+      stats_.left += leaving.size();
+      if (auto removed = bounces_->remove(leaving); !removed) {
         if (removed.error().cause != ErrorCause::kOther) return removed;
         if (auto rebuilt = startRebuild(removed.error().line()); !rebuilt) return rebuilt;
       }
@@ -155,73 +137,28 @@ class Dense final : public DenseSolver {
   const BounceMatrix& matrix() const override { return *bounces_; }
 
  private:
-  void giveUpPlace(uint32_t slot) {
-    const uint32_t place = place_of_slot_[slot];
-    if (place == kNoPlace) return;
-    leaving_.push_back(place);
-    slot_of_place_[place] = kNoSlot;
-    place_of_slot_[slot] = kNoPlace;
-  }
-
-  // The same nodes under other numbers. Tiles that are no longer there give up their places.
-  void renumber() {
-    old_place_.swap(place_of_slot_);
-    place_of_slot_.assign(matrix_->slots(), kNoPlace);
-    for (const SlotRange& old : tiles_before_) {
-      const uint32_t now = matrix_->slotOf(old.id.level, old.first_node);
-      for (uint32_t i = 0; i < old.nodes; ++i) {
-        const uint32_t place = old_place_[old.first_slot + i];
-        if (place == kNoPlace) continue;
-        slot_of_place_[place] = now != kNoSlot ? now + i : kNoSlot;
-        now != kNoSlot ? void(place_of_slot_[now + i] = place) : leaving_.push_back(place);
-      }
-    }
-    for (uint32_t place = 0; place < slot_of_place_.size(); ++place)  // the ambient slot belongs to no tile
-      if (slot_of_place_[place] != kNoSlot &&
-          (slot_of_place_[place] >= place_of_slot_.size() || place_of_slot_[slot_of_place_[place]] != place)) {
-        slot_of_place_[place] = kNoSlot;
-        leaving_.push_back(place);
-      }
-  }
-
   // Up to so many blocks of the leaves that wait.
   Result<void> enter(uint32_t blocks) {
-    const LocalMatrix& m = *matrix_;
-    uint32_t free = 0, waiting = 0;
-    for (const uint32_t slot : slot_of_place_) free += slot == kNoSlot;
-    entering_.clear();
-    const uint64_t most = std::min<uint64_t>(free, uint64_t{blocks} * kMaxBlock);
-    for (const uint32_t s : m.leaves) {
-      if (place_of_slot_[s] != kNoPlace) continue;
-      entering_.size() < most && !refused_[s] ? entering_.push_back(s) : void(waiting += !refused_[s]);
-    }
-    if (!entering_.empty()) blocks_.collect(entering_, place_of_slot_);
-    for (uint32_t first = 0, place = 0; first < entering_.size(); first += kMaxBlock) {
-      const uint32_t count = std::min<uint32_t>(kMaxBlock, static_cast<uint32_t>(entering_.size()) - first);
-      for (uint32_t e = first; e < first + count; ++e) {
-        while (slot_of_place_[place] != kNoSlot) ++place;
-        slot_of_place_[place] = entering_[e];
-        place_of_slot_[entering_[e]] = place;
-      }
-      const auto inserted = bounces_->insert(blocks_.block(first, count, place_of_slot_));
+    const uint32_t entering = places_.choose(uint64_t{blocks} * kMaxBlock);
+    for (uint32_t first = 0; first < entering; first += kMaxBlock) {
+      const uint32_t count = std::min(kMaxBlock, entering - first);
+      const auto inserted = bounces_->insert(places_.seat(first, count));
       if (inserted) {
         stats_.entered += count;
         continue;
       }
-      for (uint32_t e = first; e < first + count; ++e) {
-        slot_of_place_[place_of_slot_[entering_[e]]] = kNoSlot;
-        place_of_slot_[entering_[e]] = kNoPlace;
-        refused_[entering_[e]] = 1;
-      }
-      place = 0;
+      places_.unseat(first, count, true);
       if (!settings_.correct || inserted.error().cause != ErrorCause::kOther) return inserted.error();
       ++stats_.refused;
       stats_.last_event = inserted.error().line();
     }
-    stats_.waiting = waiting;
-    stats_.on_places = 0;
-    for (const uint32_t slot : slot_of_place_) stats_.on_places += slot != kNoSlot;
+    countPlaces();
     return {};
+  }
+
+  void countPlaces() {
+    stats_.waiting = places_.waiting();
+    stats_.on_places = places_.taken();
   }
 
   // Built anew a few blocks a frame; until then the sparse rows do what the matrix does not.
@@ -229,12 +166,9 @@ class Dense final : public DenseSolver {
     ++stats_.rebuilds;
     stats_.last_event = std::move(why);
     if (auto cleared = bounces_->clear(); !cleared) return cleared;
-    std::fill(slot_of_place_.begin(), slot_of_place_.end(), kNoSlot);
-    std::fill(place_of_slot_.begin(), place_of_slot_.end(), kNoPlace);
-    std::fill(refused_.begin(), refused_.end(), uint8_t{0});
+    places_.clear();
     rebuilding_ = true;
-    stats_.waiting = static_cast<uint32_t>(matrix_->leaves.size());
-    stats_.on_places = 0;
+    countPlaces();
     probe_frame_ = 0;
     probe_left_ = probe_norm_ = 0;
     fresh_ = before_ = -1;
@@ -247,7 +181,7 @@ class Dense final : public DenseSolver {
     for (const LocalMatrix::Refined& refined : matrix_->refined) {
       Vec4 mean;
       for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c) {
-        const float weight = blocks_.childWeight(c);
+        const float weight = places_.blocks().childWeight(c);
         mean = mean + values[c] * Vec4{weight, weight, weight, 0};
       }
       values[refined.slot] = mean;
@@ -277,11 +211,11 @@ class Dense final : public DenseSolver {
   }
 
   Result<void> relight() {
-    for (uint32_t p = 0; p < slot_of_place_.size(); ++p)
-      by_place_[p] = slot_of_place_[p] != kNoSlot ? source_[slot_of_place_[p]] : Vec4{};
+    for (uint32_t p = 0; p < bounces_->capacity(); ++p)
+      by_place_[p] = places_.slotOf(p) != kNoSlot ? source_[places_.slotOf(p)] : Vec4{};
     if (auto lit = bounces_->relight(by_place_, out_by_place_); !lit) return lit;
-    for (uint32_t p = 0; p < slot_of_place_.size(); ++p)
-      if (slot_of_place_[p] != kNoSlot) irradiance_[slot_of_place_[p]] = out_by_place_[p];
+    for (uint32_t p = 0; p < bounces_->capacity(); ++p)
+      if (places_.slotOf(p) != kNoSlot) irradiance_[places_.slotOf(p)] = out_by_place_[p];
     return {};
   }
 
@@ -305,8 +239,8 @@ class Dense final : public DenseSolver {
                           std::to_string(stats_.residual));
     before_ = stats_.residual;
     if (stats_.on_places > 0) {
-      for (uint32_t p = 0; p < slot_of_place_.size(); ++p) {
-        const uint32_t s = slot_of_place_[p];
+      for (uint32_t p = 0; p < bounces_->capacity(); ++p) {
+        const uint32_t s = places_.slotOf(p);
         by_place_[p] = s != kNoSlot ? matrix_->albedo[s] * residual_[s] : Vec4{};
       }
       if (auto lit = bounces_->relight(by_place_, out_by_place_); !lit) return lit;
@@ -315,8 +249,8 @@ class Dense final : public DenseSolver {
       if (!std::isfinite(all)) {
         if (auto rebuilt = startRebuild("the matrix is not finite"); !rebuilt) return rebuilt;
       }
-      for (uint32_t p = 0; p < slot_of_place_.size(); ++p)  // after a rebuild there is none
-        if (const uint32_t s = slot_of_place_[p]; s != kNoSlot) residual_[s] = residual_[s] + out_by_place_[p];
+      for (uint32_t p = 0; p < bounces_->capacity(); ++p)  // after a rebuild there is none
+        if (const uint32_t s = places_.slotOf(p); s != kNoSlot) residual_[s] = residual_[s] + out_by_place_[p];
     }
     for (const uint32_t s : matrix_->leaves) irradiance_[s] = irradiance_[s] + residual_[s];
     return {};
@@ -335,8 +269,8 @@ class Dense final : public DenseSolver {
     std::fill(work_.begin(), work_.end(), Vec4{});
     std::fill(out_by_place_.begin(), out_by_place_.end(), Vec4{});
     const uint32_t row_phase = static_cast<uint32_t>(random_ >> 33) % kProbeRows;
-    for (uint32_t p = 0, n = 0; p < slot_of_place_.size(); ++p) {
-      const uint32_t s = slot_of_place_[p];
+    for (uint32_t p = 0, n = 0; p < bounces_->capacity(); ++p) {
+      const uint32_t s = places_.slotOf(p);
       if (s == kNoSlot) continue;
       if (n % kProbeFrames == probe_frame_) {
         probe_places_.push_back(p);
@@ -352,10 +286,10 @@ class Dense final : public DenseSolver {
     gather(sampled_, work_, minus_, residual_);
     for (const uint32_t s : sampled_) {
       probe_norm_ += squared(residual_[s]);
-      minus_[s] = out_by_place_[place_of_slot_[s]] * Vec4{-1, -1, -1, 0};
+      minus_[s] = out_by_place_[places_.placeOf(s)] * Vec4{-1, -1, -1, 0};
     }
-    for (uint32_t p = 0; p < slot_of_place_.size(); ++p)
-      if (const uint32_t s = slot_of_place_[p]; s != kNoSlot)
+    for (uint32_t p = 0; p < bounces_->capacity(); ++p)
+      if (const uint32_t s = places_.slotOf(p); s != kNoSlot)
         work_[s] = work_[s] + matrix_->albedo[s] * out_by_place_[p];
     refine(work_);
     gather(sampled_, work_, minus_, residual_);
@@ -377,14 +311,11 @@ class Dense final : public DenseSolver {
   WorkerPool pool_;
   GatherKernel kernel_ = gatherPortable;
   std::string name_;
-  EnteringBlocks blocks_;
+  CutPlaces places_;
   const LocalMatrix* matrix_ = nullptr;
-  std::vector<SlotRange> tiles_before_;
-  std::vector<uint32_t> place_of_slot_, old_place_, slot_of_place_;
-  std::vector<uint8_t> refused_;  // per slot: left to the sparse rows until the cut changes
   std::vector<Vec4> source_, irradiance_, radiosity_, scale_, minus_, residual_, work_;  // per slot
   std::vector<Vec4> by_place_, out_by_place_, probe_x_;
-  std::vector<uint32_t> leaving_, entering_, sampled_, probe_places_;
+  std::vector<uint32_t> sampled_, probe_places_;
   bool rebuilding_ = false;
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
   uint32_t probe_frame_ = 0;
