@@ -27,7 +27,10 @@ layout(std430, binding = 2) readonly buffer Block { uint block[]; };
 layout(std430, binding = 3) buffer Albedo { float albedo[]; };  // [channel][place], the mean last; or one channel
 layout(std430, binding = 4) buffer Vectors { float vectors[]; };
 layout(std430, binding = 4) readonly buffer VectorFours { vec4 vector_fours[]; };
-layout(std430, binding = 5) buffer Status { uint status; };  // not 0: the block was refused, nothing may be written
+layout(std430, binding = 5) buffer Status {
+  uint status;  // not 0: the block was refused, nothing may be written
+  uint spoilt;  // not 0: so is all until the matrix is cleared (kSpoilt...)
+};
 
 uint tallAt(uint c, uint place) { return c * push.stride + place; }
 uint wideAt(uint c, uint place) { return (kBounceBlock + c) * push.stride + place; }

@@ -106,5 +106,8 @@ void main() {
     }
   }
   barrier();
-  if (broken != 0u && t == 0u) status = 1u;
+  if (broken != 0u && t == 0u) {
+    status = 1u;
+    if (push.leaving != 0u) spoilt = kSpoiltPrecision;  // those that should have left are still in the matrix
+  }
 }

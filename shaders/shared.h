@@ -81,6 +81,8 @@ FF_CONST uint kFoldDepth = 16u;     // of the factors in shared memory at once
 FF_CONST uint kBounceRows = 4u;     // rows that a subgroup multiplies at once, so that the vector is loaded once for all
 FF_CONST uint kBounceMean = 3u;     // BouncePush::channel of a matrix for the mean of the channels
 FF_CONST uint kNotInBlock = 0xffffffffu;
+FF_CONST uint kSpoiltPrecision = 1u;  // why a matrix has to be cleared: nodes could not leave it; it is not finite
+FF_CONST uint kSpoiltNotFinite = 2u;
 FF_CONST float kHalfMatrixScale = 8.0f;  // fp16 matrices hold 8 times the value: normal numbers from 7.6e-6 to 8191
 
 // Words of the buffer that describes a block.
