@@ -18,12 +18,14 @@ GatherLayout::GatherLayout(const GatherRoom& room) : room_(room) {
   next_tiles_.reserve(room.tiles);
   ambient_.id = {kNoLevel, 0};
   ambient_.run_start = ambient_.row_start = {0, 0};
-  forget();
+  packed_ = RangeAllocator(room_.packed_words);
+  segments_.reserve(room_.segments);
+  for (uint32_t s = 0; s < room_.segments; ++s) segments_.emplace_back(room_.segment_vectors);  // a copy has no reserve
 }
 
 void GatherLayout::forget() {
-  packed_ = RangeAllocator(room_.packed_words);
-  segments_.assign(room_.segments, RangeAllocator(room_.segment_vectors));
+  packed_.reset();
+  for (RangeAllocator& segment : segments_) segment.reset();
 }
 
 Result<void> GatherLayout::update(const LocalMatrix& matrix, bool afresh) {

@@ -43,6 +43,9 @@ class RangeAllocator {
     }
   }
 
+  // All of it is free again; no range that was handed out is worth anything.
+  void reset() { free_.assign(1, {0, size_}); }
+
   bool empty() const { return free_.size() == 1 && free_[0].begin == 0 && free_[0].end == size_; }
 
  private:

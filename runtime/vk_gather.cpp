@@ -139,6 +139,7 @@ Result<void> VulkanGather::start() {
   levels_.reserve(formats::kMaxLevels);
   copies_to_packed_.reserve(settings_.tiles);
   copies_to_pages_.reserve(settings_.pages);
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_radiosity_}) list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
   if (auto r = makeBuffers(); !r) return r;
