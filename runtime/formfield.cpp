@@ -28,21 +28,21 @@ struct CpuDevice final : FormfieldDevice_T {
     auto matrix = seed ? makeCpuSeed(dense) : makeCpuMultibounce(dense);
     if (!matrix) return matrix.error();
     auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed, .threads = threads});
-    const DenseSolver* const known = solver.get();
+    const DenseStats* const known = &solver->stats();
     return WorldSolver{std::move(solver), nullptr, known};
   }
   int threads = 0;
 };
 
-// What the settings say; where they leave it open, what is written beside the world; else gather, until settle() knows
-// the cut.
+// What the settings say; where they leave it open, what is written beside the world, if it records where that is
+// wanted; else gather, until settle() knows the cut.
 Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const FormfieldWorldSettings& s,
                                  const std::string& path) {
   SolverChoice choice;
   if (s.solver == FORMFIELD_SOLVER_AUTO) {
     auto recommended = readRecommendation(path);
     if (!recommended) return recommended.error();
-    if (*recommended && (!device.records() || (*recommended)->kind == SolverKind::kGather)) return **recommended;
+    if (*recommended && (!device.records() || device.records((*recommended)->kind))) return **recommended;
     choice.iterations = 2;
     if (device.records()) choice.why = "what can record frames into a command buffer";
     return choice;
@@ -342,12 +342,19 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     auto opened = formats::World::open(path);
     if (!opened) return opened.error();
     auto own = std::make_unique<formats::World>(std::move(*opened));
-    const auto choice = firstChoice(*device, s, path);
+    auto choice = firstChoice(*device, s, path);
     if (!choice) return choice.error();
     takeCut(*choice, s);
     auto streamer = stream::Streamer::create(*own, streamSettings(s));
     if (!streamer) return streamer.error();
     auto solver = device->makeSolver(*own, *choice);
+    if (!solver && s.solver == FORMFIELD_SOLVER_AUTO && choice->kind != SolverKind::kGather) {
+      // What was recommended on another device may exceed this one.
+      choice->kind = SolverKind::kGather;
+      choice->iterations = 2;
+      choice->why = "gather: " + solver.error().line();
+      solver = device->makeSolver(*own, *choice);
+    }
     if (!solver) return solver.error();
     *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,
                                                 std::move(*solver))
@@ -492,7 +499,7 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.pending_tiles = s.pending_tiles;
     report.fallbacks = w.solver.fellBack();
     if (w.solver.dense && !w.solver.fellBack()) {
-      const DenseStats& d = w.solver.dense->stats();
+      const DenseStats& d = *w.solver.dense;
       report.dense_nodes = d.on_places;
       report.dense_waiting = d.waiting;
       report.dense_refused = d.refused;

@@ -68,7 +68,8 @@ typedef enum FormfieldSolver {
   FORMFIELD_SOLVER_AUTO = 0,        /* what is recommended beside the world (NAME.settings.json), with its radius_m,
                                        growth and max_patches for those that are left at their defaults; else gather,
                                        until the first formfieldSettle chooses by size and density of what is around.
-                                       On Vulkan gather: it alone records */
+                                       On Vulkan what records frames: a recommended gather or multibounce, else
+                                       gather. Gather also where the device refuses what is recommended */
   FORMFIELD_SOLVER_GATHER = 1,      /* sparse iterations, warm-started: open worlds */
   FORMFIELD_SOLVER_MULTIBOUNCE = 2, /* one dense matrix with all bounces in it: small closed spaces */
   FORMFIELD_SOLVER_SEED = 3         /* the seed paper's method, for comparison */
@@ -198,10 +199,12 @@ typedef struct FormfieldStats {
   uint32_t resident_tiles, wanted_tiles, pending_tiles;
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
   double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
-                                                  negative: not measured */
+                                                  negative: not measured. formfieldRecord measures multibounce only, all
+                                                  leaves, before the last step of the frame frames_in_flight ago */
   uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
   uint64_t dense_refused, dense_rebuilds;      /* blocks that could not enter with correct digits; matrices built anew */
-  double dense_probe;                          /* error of the dense matrix, probed with random vectors */
+  double dense_probe;                          /* error of the dense matrix, probed with random vectors; on Vulkan 0:
+                                                  a multibounce there is watched by its residual alone */
   uint64_t probes_traced, probes_remembered;   /* points answered by new rays, by remembered ones */
   uint32_t probe_tiles;                        /* level-0 tiles whose triangles are loaded */
 } FormfieldStats;

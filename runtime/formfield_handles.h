@@ -28,7 +28,7 @@ class Recording {
 struct WorldSolver {
   std::unique_ptr<Solver> solver;
   const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
-  const DenseSolver* dense = nullptr;            // the solver, or the one that it may fall back from
+  const DenseStats* dense = nullptr;             // of the solver, or of the one that it may fall back from
   std::unique_ptr<Recording> recording{};        // null: the solver cannot; not to be used after it fell back
   std::unique_ptr<std::string> own_reason{};     // where the device failed before it had begun
   bool fellBack() const { return fallback_reason && !fallback_reason->empty(); }
@@ -40,8 +40,9 @@ struct FormfieldDevice_T {
   virtual ~FormfieldDevice_T() = default;
   virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
                                                           const ff::runtime::SolverChoice& choice) = 0;
-  // Whether gather, and it alone, can record; `auto` then never leaves it.
+  // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
   virtual bool records() const { return false; }
+  virtual bool records(ff::runtime::SolverKind) const { return false; }
   std::string name, error;
 };
 

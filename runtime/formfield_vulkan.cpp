@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstring>
 
-#include "runtime/dense/vk_multibounce.h"
 #include "runtime/dense/vk_seed.h"
 #include "runtime/fallback_solver.h"
 #include "runtime/formfield_handles.h"
@@ -40,7 +39,7 @@ class VulkanRecording final : public Recording {
         entered_[matrix.tiles[t].first_slot] = records_;
     readBack(world, arrived);
     recordReadBack(matrix.slots());
-    world.residual = -1;
+    world.residual = recorder_.residual();
     ++records_;
     return {};
   }
@@ -100,29 +99,31 @@ VulkanRecording* recordingOf(FormfieldWorld world) {
 
 struct VulkanDevice final : FormfieldDevice_T {
   Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice) override {
-    if (choice.kind == SolverKind::kGather) {
-      VulkanGatherSettings room = gatherRoomFor(world);
-      room.frames_in_flight = frames_in_flight;
-      auto recorder = makeVulkanRecorder(context, room);
-      if (!recorder) return withoutDevice(recorder.error());
-      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight);
-      if (!recording) return withoutDevice(recording.error());
-      auto solver = withFallback(std::move(*recorder), nullptr);
-      solver.recording = std::move(*recording);
-      return solver;
-    }
     MultibounceSettings dense;
     dense.places = choice.places;
     dense.storage = choice.storage;
     dense.luminance = choice.luminance;
-    const bool seed = choice.kind == SolverKind::kSeed;
-    auto matrix = seed ? makeVulkanSeed(context, dense) : makeVulkanMultibounce(context, dense);
+    if (records(choice.kind)) {
+      VulkanGatherSettings room = gatherRoomFor(world);
+      room.frames_in_flight = frames_in_flight;
+      auto recorder = choice.kind == SolverKind::kGather ? makeVulkanRecorder(context, room)
+                                                         : makeVulkanDenseRecorder(context, room, dense);
+      if (!recorder) return withoutDevice(recorder.error());
+      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight);
+      if (!recording) return withoutDevice(recording.error());
+      const DenseStats* const known = (*recorder)->dense();
+      auto solver = withFallback(std::move(*recorder), known);
+      solver.recording = std::move(*recording);
+      return solver;
+    }
+    auto matrix = makeVulkanSeed(context, dense);
     if (!matrix) return withoutDevice(matrix.error());
-    auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed});
-    const DenseSolver* const known = solver.get();
+    auto solver = makeDenseSolver(std::move(*matrix), {.correct = false});
+    const DenseStats* const known = &solver->stats();
     return withFallback(std::move(solver), known);
   }
   bool records() const override { return true; }
+  bool records(SolverKind kind) const override { return kind != SolverKind::kSeed; }
   // A device that is lost or full from the start is no worse than one that gets there.
   static Result<WorldSolver> withoutDevice(const Error& error) {
     if (error.cause == ErrorCause::kOther) return error;
@@ -130,7 +131,7 @@ struct VulkanDevice final : FormfieldDevice_T {
     const std::string* const known = reason.get();
     return WorldSolver{makeCpuGather(), known, nullptr, nullptr, std::move(reason)};
   }
-  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseSolver* dense) {
+  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseStats* dense) {
     auto solver = makeFallbackSolver(std::move(first), makeCpuGather());
     const std::string* const reason = &solver->reason();
     return {std::move(solver), reason, dense, nullptr, nullptr};
@@ -197,7 +198,10 @@ FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, 
   if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
   const auto unsupported = [&] {
     (void)guarded(world->device.error, [&]() -> Result<void> {
-      return usageError("formfieldRecord", world->solver.fellBack() ? "the CPU has taken over" : "this solver cannot record",
+      return usageError("formfieldRecord",
+                        world->solver.fellBack()                  ? "the CPU has taken over"
+                        : world->choice.kind == SolverKind::kSeed ? "seed is a baseline and does not record"
+                                                                  : "this device does not record",
                         "call formfieldFrame");
     });
     return FORMFIELD_ERROR_UNSUPPORTED;

@@ -39,7 +39,10 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
  * for the device. Command buffers run once, in the order of their recording, on the queue of the device; before a world's
  * next call here the one recorded frames_in_flight calls ago has finished. What they write is visible to all later
  * commands. formfieldRadiosity, and with it formfieldSample, then lag by frames_in_flight frames.
- * FORMFIELD_ERROR_UNSUPPORTED: a dense solver, or the CPU has taken over; formfieldFrame works. */
+ * gather and multibounce record. Leaves enter multibounce's dense matrix 256 a frame; those that wait are lit all the
+ * same, as quickly as by gather. Its FormfieldStats lag by frames_in_flight frames. The matrix is watched by its residual
+ * (built anew where a correction makes it grow under the same light), not by random vectors as on the CPU.
+ * FORMFIELD_ERROR_UNSUPPORTED: seed, which is a baseline, or the CPU has taken over; formfieldFrame works. */
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
                                 const float velocity[3]);
 /* Radiosity by slot, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage buffer, always the same.

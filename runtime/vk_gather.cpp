@@ -11,12 +11,12 @@
 #include "gather_leave_comp.h"
 #include "refine_comp.h"
 #include "resolve_comp.h"
+#include "runtime/gather_correction.h"
 #include "runtime/gather_layout.h"
 #include "runtime/page_table.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
-#include "runtime/vk_recorder.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {
@@ -36,8 +36,9 @@ Error tooSmall(const std::string& message) {
 
 class VulkanGather final : public VulkanRecorder {
  public:
-  VulkanGather(std::shared_ptr<VkContext> context, const VulkanGatherSettings& settings)
-      : context_(std::move(context)), settings_(settings) {}
+  VulkanGather(std::shared_ptr<VkContext> context, const VulkanGatherSettings& settings,
+               std::unique_ptr<GatherCorrection> correction)
+      : context_(std::move(context)), settings_(settings), correction_(std::move(correction)) {}
   ~VulkanGather() override;
   Result<void> start();
 
@@ -47,13 +48,16 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> iterate(int k) override;
   Result<void> radiosity(std::span<Vec4> out) override;
   double lastMs() const override { return last_ms_; }
-  const char* name() const override { return name_.c_str(); }
+  const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
   Result<void> record(VkCommandBuffer commands, int iterations) override;
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
   uint64_t uploadedBytes() const override { return uploaded_bytes_; }
   double lastChangeMs() const override { return last_change_ms_; }
+  double residual() const override { return correction_ ? correction_->residual() : -1; }
+  const DenseStats* dense() const override { return correction_ ? &correction_->stats() : nullptr; }
   Result<std::vector<uint32_t>> row(uint32_t slot);
+  Result<void> fillMatrix(float value) { return correction_->fillMatrix(value); }
 
  private:
   // A range of `jobs_` with what a dispatch over it needs.
@@ -73,7 +77,7 @@ class VulkanGather final : public VulkanRecorder {
   void listSpans();
   void recordCopies(VkCommandBuffer c);
   void recordChange(VkCommandBuffer c);
-  void recordIteration(VkCommandBuffer c);
+  void recordIteration(VkCommandBuffer c, bool first);
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
   void readTime(uint32_t frame, bool wait);
   uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
@@ -81,6 +85,7 @@ class VulkanGather final : public VulkanRecorder {
 
   std::shared_ptr<VkContext> context_;  // first: outlives everything below
   VulkanGatherSettings settings_;
+  std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
   ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, refine_;
   Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, output_, staging_;
@@ -157,7 +162,13 @@ Result<void> VulkanGather::start() {
     vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
   });
   if (!cleared) return cleared.error();
-  return {};
+  if (!correction_) return {};
+  return correction_->start({kinds_.handle(),
+                             albedo_.handle(),
+                             source_.handle(),
+                             {radiosity_[0].handle(), radiosity_[1].handle()},
+                             settings_.slots,
+                             settings_.frames_in_flight});
 }
 
 Result<void> VulkanGather::makePipelines() {
@@ -277,7 +288,7 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
   if (auto r = flush(); !r) return r;
   const bool by_hand = !m.pages;
   if (matrix_ == &m && !change.any && !by_hand) return {};
-  const bool all = std::exchange(matrix_, nullptr) != &m || change.renumbered || by_hand;
+  const bool afresh = std::exchange(matrix_, nullptr) != &m || by_hand, all = afresh || change.renumbered;
   FF_CHECK_LT(0u, m.slots());
   if (m.slots() > settings_.slots)
     return tooSmall(std::to_string(m.slots()) + " slots, room was made for " + std::to_string(settings_.slots));
@@ -299,6 +310,7 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
   slots_ = m.slots();
   changed_ = true;
   all_ = all;
+  if (correction_) correction_->update(m, change, afresh);
   return {};
 }
 
@@ -458,13 +470,14 @@ void VulkanGather::recordChange(VkCommandBuffer c) {
   separate(c);
 }
 
-void VulkanGather::recordIteration(VkCommandBuffer c) {
+void VulkanGather::recordIteration(VkCommandBuffer c, bool first) {
   for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
     const shaders::GatherPush push{slots_, s};
     gather_.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
   }
   // The next step reads what this one wrote, the next iteration overwrites what this one read.
   separate(c);
+  if (correction_) correction_->recordStep(c, now_, first);
   for (const Level& level : levels_) {
     const uint32_t groups = groupsOf(level.longest, shaders::kRefineGroup);
     const shaders::RefinePush push{level.first, groups};
@@ -499,6 +512,10 @@ Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   recordCopies(c);
   separate(c);
   if (changed_) recordChange(c);
+  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_)) {
+    vkCmdFillBuffer(c, radiosity_[now_].handle(), 0, VK_WHOLE_SIZE, 0);
+    separate(c);
+  }
   if (has_radiosity_) {
     vkCmdCopyBuffer(c, staging_.handle(), radiosity_[now_].handle(), 1, copies_to_radiosity_.data());
     copies_to_radiosity_.clear();
@@ -507,7 +524,8 @@ Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   changed_ = all_ = has_source_ = has_radiosity_ = false;
   left_ = 0;
   stamp(1);
-  for (int i = 0; i < iterations; ++i) recordIteration(c);
+  for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0);
+  if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
   const VkBufferCopy out{0, 0, slots_ * sizeof(Vec4)};
@@ -578,7 +596,13 @@ VulkanGatherSettings gatherRoomFor(const formats::World& world) {
 
 Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
                                                            const VulkanGatherSettings& settings) {
-  auto gather = std::make_unique<VulkanGather>(std::move(context), settings);
+  return makeVulkanRecorder(std::move(context), settings, nullptr);
+}
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
+                                                           const VulkanGatherSettings& settings,
+                                                           std::unique_ptr<GatherCorrection> correction) {
+  auto gather = std::make_unique<VulkanGather>(std::move(context), settings, std::move(correction));
   if (auto r = gather->start(); !r) return r.error();
   return std::unique_ptr<VulkanRecorder>(std::move(gather));
 }
@@ -592,6 +616,10 @@ Result<std::unique_ptr<Solver>> makeVulkanGather(std::shared_ptr<VkContext> cont
 
 Result<std::vector<uint32_t>> resolvedRow(VulkanRecorder& recorder, uint32_t slot) {
   return static_cast<VulkanGather&>(recorder).row(slot);
+}
+
+Result<void> fillMatrix(VulkanRecorder& recorder, float value) {
+  return static_cast<VulkanGather&>(recorder).fillMatrix(value);
 }
 
 }  // namespace ff::runtime

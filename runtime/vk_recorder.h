@@ -1,13 +1,15 @@
-// The gather solver for engines: a frame's work goes into the caller's command buffer, nothing waits.
+// Solvers for engines, gather and the dense one with all bounces: a frame's work goes into the caller's command buffer,
+// nothing waits.
 //
-// Per frame: update() where the cut changed, setSource() where the light changed, then record(). These write to a ring of
-// `frames_in_flight` staging regions: when a frame begins, the command buffer recorded frames_in_flight records ago must
-// have finished. Command buffers must run in the order in which they were recorded, on one queue.
+// Per frame: update() where the cut changed, setSource() where the light changed, then record(). These write to a ring
+// of `frames_in_flight` staging regions: when a frame begins, the command buffer recorded frames_in_flight records ago
+// must have finished. Command buffers must run in the order in which they were recorded, on one queue.
 #pragma once
 #include <vulkan/vulkan.h>
 
 #include <memory>
 
+#include "runtime/dense/dense_solver.h"
 #include "runtime/vk_gather.h"
 
 namespace ff::runtime {
@@ -26,12 +28,24 @@ class VulkanRecorder : public Solver {
   virtual uint64_t uploadedBytes() const = 0;  // since the start
   // As lastMs(), of what the last record() did before its iterations: uploads, resolving, warm start.
   virtual double lastChangeMs() const = 0;
+  // Largest |M + C F B - B| over the largest B of any channel, before the last step of the record frames_in_flight ago,
+  // over all leaves; negative: not measured (gather never is).
+  virtual double residual() const = 0;
+  virtual const DenseStats* dense() const = 0;  // null: gather. Lags by frames_in_flight records; has no probe.
 };
 
 Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
                                                            const VulkanGatherSettings& settings = {});
 
+// The same with all bounces in a step (dense/vk_dense_step.h): leaves enter a dense matrix, kRebuildBlocks blocks a
+// record. Errors: those of both.
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanDenseRecorder(std::shared_ptr<VkContext> context,
+                                                                const VulkanGatherSettings& room,
+                                                                const MultibounceSettings& settings);
+
 // For tests: the entries of a slot's row as the device resolved them. Waits.
 Result<std::vector<uint32_t>> resolvedRow(VulkanRecorder& recorder, uint32_t slot);
+// For tests: spoils the matrix of a dense recorder. Waits.
+Result<void> fillMatrix(VulkanRecorder& recorder, float value);
 
 }  // namespace ff::runtime

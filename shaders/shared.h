@@ -106,6 +106,17 @@ struct BouncePush {
   uint next_at;     // what luminance multiplies next; 0: nothing
   uint count;       // entries, places: see the shader
 };
+// bounce_residual.comp, bounce_correct.comp: a recorded step; runtime/dense/vk_dense_step.cpp
+struct CorrectPush {
+  uint stride;  // places, as above
+  uint slots;
+  uint first;  // 1: the first step of a frame
+};
+struct StepSums {               // over the leaves of a work group
+  float left, norm;             // |B' - B|^2, |B' - M|^2
+  float largest_left, largest;  // |B' - B|, B' of any channel
+  uint relit;                   // not 0: M is not that of the last frame
+};
 
 // --- seed_*.comp: the seed paper's eight shaders; runtime/cpu_seed.h has the equations ---
 FF_CONST uint kSeedGroup = 128u;

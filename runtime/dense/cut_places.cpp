@@ -14,6 +14,7 @@ std::span<const uint32_t> CutPlaces::update(const LocalMatrix& matrix, const Mat
   matrix_ = &matrix;
   leaving_.clear();
   if (afresh) {
+    place_of_slot_.clear();
     clear();
   } else if (change.renumbered) {
     renumber();
@@ -27,23 +28,23 @@ std::span<const uint32_t> CutPlaces::update(const LocalMatrix& matrix, const Mat
   tiles_before_ = matrix.tiles;
   refused_.assign(matrix.slots(), 0);
   blocks_.takeUp(matrix);
-  countWaiting();
+  leaves_ = static_cast<uint32_t>(matrix.leaves.size());
+  waiting_ = leaves_ - taken_;
   return leaving_;
 }
 
 void CutPlaces::clear() {
   std::fill(slot_of_place_.begin(), slot_of_place_.end(), kNoSlot);
-  place_of_slot_.assign(matrix_ ? matrix_->slots() : 0, kNoPlace);
-  refused_.assign(place_of_slot_.size(), 0);
+  std::fill(place_of_slot_.begin(), place_of_slot_.end(), kNoPlace);
+  std::fill(refused_.begin(), refused_.end(), uint8_t{0});
   leaving_.clear();
   taken_ = 0;
-  countWaiting();
+  waiting_ = leaves_;
 }
 
 void CutPlaces::giveUp(uint32_t place) {
   refused_[slot_of_place_[place]] = 1;
   leave(slot_of_place_[place]);
-  countWaiting();
 }
 
 void CutPlaces::leave(uint32_t slot) {
@@ -75,12 +76,6 @@ void CutPlaces::renumber() {
       leaving_.push_back(place);
     }
   taken_ -= static_cast<uint32_t>(leaving_.size());
-}
-
-void CutPlaces::countWaiting() {
-  waiting_ = 0;
-  if (!matrix_) return;
-  for (const uint32_t s : matrix_->leaves) waiting_ += place_of_slot_[s] == kNoPlace && !refused_[s];
 }
 
 uint32_t CutPlaces::choose(uint64_t most) {

@@ -25,6 +25,7 @@ class CutPlaces {
   std::span<const uint32_t> givenUp() const { return leaving_; }
   void forgetGivenUp() { leaving_.clear(); }
 
+  // The rest reads the matrix again, which must still be that of update().
   // Leaves that may enter now, up to `most` and as many as there are places; numbered from 0 for seat().
   uint32_t choose(uint64_t most);
   // Gives places to chosen leaves [first, first + count), in order, and describes them as a block, which lives until
@@ -45,7 +46,6 @@ class CutPlaces {
  private:
   void leave(uint32_t slot);
   void renumber();
-  void countWaiting();
 
   EnteringBlocks blocks_;
   const LocalMatrix* matrix_ = nullptr;
@@ -53,7 +53,7 @@ class CutPlaces {
   std::vector<uint32_t> place_of_slot_, old_place_, slot_of_place_;
   std::vector<uint8_t> refused_;  // per slot
   std::vector<uint32_t> leaving_, entering_;
-  uint32_t taken_ = 0, waiting_ = 0, next_free_ = 0;
+  uint32_t leaves_ = 0, taken_ = 0, waiting_ = 0, next_free_ = 0;
 };
 
 }  // namespace ff::runtime

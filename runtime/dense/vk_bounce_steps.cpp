@@ -163,6 +163,11 @@ void VulkanBounceSteps::recordClear(VkCommandBuffer c) {
   used_ = frontier_ = pending_k_ = 0;
 }
 
+void VulkanBounceSteps::recordFill(VkCommandBuffer c, float value) const {
+  for (uint32_t p = 0; p < planes_; ++p)
+    vkCmdFillBuffer(c, matrix_[p].handle(), 0, VK_WHOLE_SIZE, std::bit_cast<uint32_t>(value));
+}
+
 // Places, albedos and the way back from place to number.
 void VulkanBounceSteps::describeHead(std::span<const uint32_t> places, uint32_t* words) {
   for (uint32_t i = 0; i < places.size(); ++i) {

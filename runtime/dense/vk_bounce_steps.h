@@ -60,6 +60,7 @@ class VulkanBounceSteps {
   void recordProduct(VkCommandBuffer c, uint32_t changed_places) const;
   // All nodes are gone.
   void recordClear(VkCommandBuffer c);
+  void recordFill(VkCommandBuffer c, float value) const;  // for tests: every word of the matrix
 
   uint32_t used() const { return used_; }
   const Buffer& block() const { return block_; }

@@ -1,7 +1,9 @@
 #include "runtime/formfield_vulkan.h"
 
 #include <cmath>
+#include <fstream>
 
+#include "runtime/choose_solver.h"
 #include "runtime/vk_device.h"
 #include "tests/runtime/test_world.h"
 
@@ -83,8 +85,14 @@ TEST_F(FormfieldVulkan, GivesTheLightOfTheCpu) {
   }
 }
 
+class FormfieldVulkanRecords : public FormfieldVulkan, public testing::WithParamInterface<FormfieldSolver> {};
+INSTANTIATE_TEST_SUITE_P(Solvers, FormfieldVulkanRecords,
+                         testing::Values(FORMFIELD_SOLVER_GATHER, FORMFIELD_SOLVER_MULTIBOUNCE), [](const auto& each) {
+                           return each.param == FORMFIELD_SOLVER_GATHER ? "Gather" : "Multibounce";
+                         });
+
 // An engine's loop: its own device, a command buffer a frame, two in flight.
-TEST_F(FormfieldVulkan, RecordsIntoTheCallersCommandBuffersOnTheCallersDevice) {
+TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
   const auto engine = VkContext::open({.device = "cpu", .validate = true});
   if (!engine) GTEST_SKIP() << engine.error().line();
   const VkDevice device = (*engine)->device();
@@ -119,7 +127,8 @@ TEST_F(FormfieldVulkan, RecordsIntoTheCallersCommandBuffersOnTheCallersDevice) {
   formfieldDefaultWorldSettings(&settings);
   settings.radius_m = 8;
   settings.hysteresis = 1;  // the way here leaves no trace in the cut
-  settings.solver = FORMFIELD_SOLVER_GATHER;
+  settings.solver = GetParam();
+  settings.dense_places = 256;
   settings.probes = 16;
   FormfieldWorld world = nullptr;
   ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
@@ -161,6 +170,18 @@ TEST_F(FormfieldVulkan, RecordsIntoTheCallersCommandBuffersOnTheCallersDevice) {
   for (size_t p = 0; p < map.size(); ++p)
     for (size_t c = 0; c < 3; ++c)
       ASSERT_NEAR(radiosity[4 * map[p] + c], expected[3 * p + c], 1e-3f * (1 + expected[3 * p + c]));
+  FormfieldStats stats{};
+  stats.size = sizeof(stats);
+  ASSERT_EQ(formfieldGetStats(world, &stats), FORMFIELD_OK);
+  if (GetParam() == FORMFIELD_SOLVER_GATHER) {
+    EXPECT_LT(stats.residual, 0);
+  } else {
+    EXPECT_EQ(stats.dense_nodes, std::min(256u, stats.leaves));
+    EXPECT_EQ(stats.dense_nodes + stats.dense_waiting, stats.leaves);
+    EXPECT_EQ(stats.dense_rebuilds + stats.dense_refused, 0u);
+    EXPECT_GE(stats.residual, 0);
+    EXPECT_LE(stats.residual, 1e-5);
+  }
   const float above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
   float irradiance[3];
   ASSERT_EQ(formfieldSample(world, 1, above, down, irradiance), FORMFIELD_OK);
@@ -174,33 +195,85 @@ TEST_F(FormfieldVulkan, RecordsIntoTheCallersCommandBuffersOnTheCallersDevice) {
   for (const std::string& message : (*engine)->messages()) ADD_FAILURE() << message;
 }
 
-TEST_F(FormfieldVulkan, ADenseSolverDoesNotRecord) {
+TEST_F(FormfieldVulkan, TheSeedDoesNotRecordAndSaysSo) {
   make();
   if (IsSkipped()) return;
   FormfieldWorldSettings settings;
   formfieldDefaultWorldSettings(&settings);
-  settings.solver = FORMFIELD_SOLVER_MULTIBOUNCE;
+  settings.solver = FORMFIELD_SOLVER_SEED;
   settings.dense_places = 64;
   FormfieldWorld world = nullptr;
   ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
   const float at[3] = {16, 1, 16};
   EXPECT_EQ(formfieldRecord(world, nullptr, at, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
+  EXPECT_NE(std::string(formfieldError(device_)).find("seed is a baseline"), std::string::npos)
+      << formfieldError(device_);
   EXPECT_EQ(formfieldRadiosityBuffer(world), VkBuffer{VK_NULL_HANDLE});
   formfieldCloseWorld(world);
+}
+
+TEST_F(FormfieldVulkan, AutoTakesARecommendedSolverThatRecordsAndFits) {
+  make();
+  if (IsSkipped()) return;
+  const struct {
+    const char* json;
+    const char* name;
+    const char* why;
+  } cases[] = {
+      {R"({"solver": "multibounce", "storage": "fp16", "places": 128})", "multibounce vulkan fp16", "recommended"},
+      {R"({"solver": "multibounce", "luminance": true, "places": 128})", "fp32 luminance", "recommended"},
+      {R"({"solver": "multibounce", "places": 65536})", "vulkan: ", "gather: multibounce vulkan"},
+      {R"({"solver": "seed"})", "vulkan: ", "can record"}};
+  for (const auto& each : cases) {
+    std::ofstream(settingsPath(test_.world().path())) << each.json;
+    FormfieldWorld world = nullptr;
+    ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), nullptr, &world), FORMFIELD_OK)
+        << formfieldError(device_);
+    EXPECT_NE(std::string(formfieldSolverName(world)).find(each.name), std::string::npos) << formfieldSolverName(world);
+    EXPECT_NE(std::string(formfieldSolverReason(world)).find(each.why), std::string::npos)
+        << formfieldSolverReason(world);
+    EXPECT_TRUE(formfieldRadiosityBuffer(world) != VK_NULL_HANDLE) << each.json;
+    formfieldCloseWorld(world);
+  }
 }
 
 TEST_F(FormfieldVulkan, AFullDeviceHandsOverToTheCpuAndSaysSo) {
   make();
   if (IsSkipped()) return;
   const std::vector<float> expected = lightAt(device_, FORMFIELD_SOLVER_GATHER);
-  FormfieldVulkanSettings small = settings_;
-  small.memory_bytes = 100000;
-  FormfieldDevice full = nullptr;
-  ASSERT_EQ(formfieldCreateVulkanDevice(&small, &full), FORMFIELD_OK) << formfieldError(nullptr);
-  FormfieldStats stats{};
-  expectNear(lightAt(full, FORMFIELD_SOLVER_GATHER, &stats), expected);
-  EXPECT_EQ(stats.fallbacks, 1u);
-  formfieldDestroyDevice(full);
+  // Not enough for either; enough for gather, and not for a matrix of 256 places.
+  constexpr uint64_t kForGather = 5000000;
+  FormfieldVulkanSettings enough = settings_;
+  enough.memory_bytes = kForGather;
+  FormfieldDevice fits = nullptr;
+  ASSERT_EQ(formfieldCreateVulkanDevice(&enough, &fits), FORMFIELD_OK) << formfieldError(nullptr);
+  FormfieldStats none{};
+  expectNear(lightAt(fits, FORMFIELD_SOLVER_GATHER, &none), expected);
+  EXPECT_EQ(none.fallbacks, 0u);
+  formfieldDestroyDevice(fits);
+  for (const auto& [bytes, solver] :
+       {std::pair(uint64_t{100000}, FORMFIELD_SOLVER_GATHER), std::pair(uint64_t{100000}, FORMFIELD_SOLVER_MULTIBOUNCE),
+        std::pair(kForGather, FORMFIELD_SOLVER_MULTIBOUNCE)}) {
+    FormfieldVulkanSettings small = settings_;
+    small.memory_bytes = bytes;
+    FormfieldDevice full = nullptr;
+    ASSERT_EQ(formfieldCreateVulkanDevice(&small, &full), FORMFIELD_OK) << formfieldError(nullptr);
+    FormfieldStats stats{};
+    expectNear(lightAt(full, solver, &stats), expected);
+    EXPECT_EQ(stats.fallbacks, 1u);
+    FormfieldWorldSettings settings;
+    formfieldDefaultWorldSettings(&settings);
+    settings.solver = solver;
+    settings.dense_places = 256;
+    FormfieldWorld world = nullptr;
+    ASSERT_EQ(formfieldOpenWorld(full, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
+    const float at[3] = {16, 1, 16};
+    EXPECT_EQ(formfieldRecord(world, nullptr, at, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
+    EXPECT_NE(std::string(formfieldError(full)).find("the CPU has taken over"), std::string::npos);
+    EXPECT_EQ(formfieldFrame(world, at, nullptr), FORMFIELD_OK) << formfieldError(full);
+    formfieldCloseWorld(world);
+    formfieldDestroyDevice(full);
+  }
 }
 
 TEST_F(FormfieldVulkan, RefusesHalfADevice) {

@@ -20,6 +20,8 @@ ff_vulkan_test(vk_device_test vk_device_test.cpp WIDTHS 256)
 ff_vulkan_test(vk_gather_test vk_gather_test.cpp WIDTHS 128 256 512)
 ff_vulkan_test(vk_bounce_matrix_test vk_bounce_matrix_test.cpp WIDTHS 128 256 512)
 ff_vulkan_test(vk_resolve_test vk_resolve_test.cpp WIDTHS 128 256 512 LIBS ff_synthetic_world)
+ff_vulkan_test(vk_dense_step_test vk_dense_step_test.cpp WIDTHS 128 512 LIBS ff_synthetic_world)
+target_sources(vk_dense_step_test PRIVATE $<TARGET_OBJECTS:ff_counted_memory>)
 add_executable(formfield_vulkan_test formfield_vulkan_test.cpp)
 # formfield_vulkan.h names its neighbour as an installed header does.
 target_include_directories(formfield_vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime)

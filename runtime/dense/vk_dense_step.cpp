@@ -1,0 +1,362 @@
+#include "runtime/dense/vk_dense_step.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bounce_correct_comp.h"
+#include "bounce_residual_comp.h"
+#include "runtime/dense/cut_places.h"
+#include "runtime/dense/vk_bounce_steps.h"
+#include "runtime/vk_device.h"
+
+namespace ff::runtime {
+namespace {
+
+class DenseStep final : public GatherCorrection {
+ public:
+  DenseStep(std::shared_ptr<VkContext> context, std::unique_ptr<VulkanBounceSteps> steps, uint32_t blocks)
+      : context_(std::move(context)),
+        steps_(std::move(steps)),
+        blocks_(blocks),
+        places_(steps_->settings().places),
+        entered_by_(steps_->settings().places),
+        name_("dense: " + steps_->name()) {}
+
+  Result<void> start(const GatherBuffers& buffers) override;
+  void update(const LocalMatrix& matrix, const MatrixChange& change, bool afresh) override;
+  bool recordChange(VkCommandBuffer c, uint32_t frame, int iterations, bool disturbed) override;
+  void recordStep(VkCommandBuffer c, uint32_t now, bool first) override;
+  void recordEnd(VkCommandBuffer c, uint32_t frame, int iterations) override;
+  const DenseStats& stats() const override { return stats_; }
+  double residual() const override { return residual_; }
+  const char* name() const override { return name_.c_str(); }
+  Result<void> fillMatrix(float value) override;
+
+ private:
+  // What a frame in flight will bring back, in this order: the status of each block that enters, `spoilt`, sums.
+  struct Region {
+    bool recorded = false, measured = false, comparable = false, rebuilding = false;
+    uint32_t slots = 0, blocks = 0;
+    uint64_t generation = 0, first_block = 0;
+  };
+  uint64_t upBytes() const { return (steps_->mostWords() + steps_->stride()) * sizeof(uint32_t); }
+  uint64_t sumsAt() const { return (blocks_ + 1) * sizeof(uint32_t); }
+  uint64_t backBytes() const {
+    return sumsAt() + groupsOf(slots_room_, shaders::kBounceGroup) * sizeof(shaders::StepSums);
+  }
+  void read(uint32_t frame);
+  bool addUp(Region& region, const std::byte* sums);
+  void watch(const Region& region);
+  void forget();
+  void startOver(std::string why);
+  void recordLeaving(VkCommandBuffer c, uint32_t frame);
+  void recordEntering(VkCommandBuffer c, uint32_t frame);
+  void recordBlock(VkCommandBuffer c, const VulkanBounceSteps::Block& block, uint32_t frame);
+  // Words of the frame's staging region, from where it is still free.
+  uint32_t* room(uint32_t frame) {
+    return reinterpret_cast<uint32_t*>(up_.mapped() + frame * upBytes()) + steps_->stride() + words_used_;
+  }
+  uint64_t wordsLeft() const { return steps_->mostWords() - words_used_; }
+
+  std::shared_ptr<VkContext> context_;  // first: outlives everything below
+  std::unique_ptr<VulkanBounceSteps> steps_;
+  ComputePipeline residual_pass_, correct_;
+  Buffer slots_, last_source_, sums_, up_, back_;
+  StorageSets sets_;
+  VkDescriptorSet residual_set_[2] = {}, correct_set_[2] = {};  // [now]: before the step
+  uint32_t slots_room_ = 0;
+  const uint32_t blocks_;  // that enter a frame
+
+  const LocalMatrix* matrix_ = nullptr;
+  CutPlaces places_;
+  std::vector<uint64_t> entered_by_;  // per place: the number of the block that it entered by
+  std::vector<Region> regions_;
+  uint64_t block_ = 0;       // number of the last block that entered
+  uint64_t generation_ = 0;  // of the matrix: how often it was cleared
+  uint64_t words_used_ = 0;  // of the staging region
+  bool clear_ = false, restart_ = false, places_changed_ = true, rebuilding_ = false, disturbed_ = false;
+  double before_ = -1;  // the residual that came back last; -1: not to be compared with
+  double residual_ = -1;
+  DenseStats stats_;
+  std::string name_;
+};
+
+Result<void> DenseStep::start(const GatherBuffers& buffers) {
+  slots_room_ = buffers.slots;
+  regions_.resize(buffers.frames_in_flight);
+  struct Wanted {
+    Buffer* buffer;
+    uint64_t bytes;
+    MemoryUse use = MemoryUse::kDevice;
+  };
+  const Wanted list[] = {
+      {&slots_, steps_->stride() * sizeof(uint32_t)},
+      {&last_source_, slots_room_ * sizeof(Vec4)},
+      {&sums_, groupsOf(std::max(slots_room_, steps_->stride()), shaders::kBounceGroup) * sizeof(shaders::StepSums)},
+      {&up_, upBytes() * regions_.size(), MemoryUse::kHost},
+      {&back_, backBytes() * regions_.size(), MemoryUse::kHost}};
+  for (const Wanted& w : list) {
+    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
+    if (!b) return b.error();
+    *w.buffer = std::move(*b);
+  }
+  const auto whole = [](VkBuffer b) { return VkDescriptorBufferInfo{b, 0, VK_WHOLE_SIZE}; };
+  constexpr uint32_t kResidualBuffers = 8, kCorrectBuffers = 5;
+  auto residual =
+      ComputePipeline::create(*context_, bounce_residual_comp, kResidualBuffers, sizeof(shaders::CorrectPush));
+  if (!residual) return residual.error();
+  residual_pass_ = std::move(*residual);
+  auto correct = ComputePipeline::create(*context_, bounce_correct_comp, kCorrectBuffers, sizeof(shaders::CorrectPush));
+  if (!correct) return correct.error();
+  correct_ = std::move(*correct);
+  auto sets = StorageSets::create(*context_, 4, 2 * (kResidualBuffers + kCorrectBuffers));
+  if (!sets) return sets.error();
+  sets_ = std::move(*sets);
+  const VkDescriptorBufferInfo slots = whole(slots_.handle()), vectors = whole(steps_->vectors().handle());
+  for (uint32_t now = 0; now < 2; ++now) {
+    const VkDescriptorBufferInfo before = whole(buffers.radiosity[now]), after = whole(buffers.radiosity[1 - now]);
+    const VkDescriptorBufferInfo read[kResidualBuffers] = {slots,
+                                                           before,
+                                                           after,
+                                                           whole(buffers.source),
+                                                           whole(last_source_.handle()),
+                                                           whole(buffers.kinds),
+                                                           vectors,
+                                                           whole(sums_.handle())};
+    const VkDescriptorBufferInfo written[kCorrectBuffers] = {slots, vectors, whole(buffers.albedo), after,
+                                                             whole(steps_->status().handle())};
+    auto residual_set = sets_.make(residual_pass_.setLayout(), read);
+    if (!residual_set) return residual_set.error();
+    residual_set_[now] = *residual_set;
+    auto correct_set = sets_.make(correct_.setLayout(), written);
+    if (!correct_set) return correct_set.error();
+    correct_set_[now] = *correct_set;
+  }
+  auto cleared = context_->run([&](VkCommandBuffer c) {
+    vkCmdFillBuffer(c, slots_.handle(), 0, VK_WHOLE_SIZE, kNoSlot);
+    vkCmdFillBuffer(c, last_source_.handle(), 0, VK_WHOLE_SIZE, 0);
+    vkCmdFillBuffer(c, sums_.handle(), 0, VK_WHOLE_SIZE, 0);
+  });
+  if (!cleared) return cleared.error();
+  return {};
+}
+
+void DenseStep::update(const LocalMatrix& matrix, const MatrixChange& change, bool afresh) {
+  matrix_ = &matrix;
+  const auto leaving = places_.update(matrix, change, afresh);
+  stats_.left += leaving.size();
+  if (afresh) {
+    clear_ = true;
+    ++generation_;
+  }
+  places_changed_ = true;
+}
+
+// The matrix is empty from the next record on; its leaves wait. What older frames bring back is of no interest.
+void DenseStep::forget() {
+  places_.clear();
+  clear_ = places_changed_ = true;
+  ++generation_;
+  before_ = -1;
+}
+
+void DenseStep::startOver(std::string why) {
+  ++stats_.rebuilds;
+  stats_.last_event = std::move(why);
+  rebuilding_ = true;
+  forget();
+}
+
+// What the region's last frame has brought back.
+void DenseStep::read(uint32_t frame) {
+  Region& region = regions_[frame];
+  if (!std::exchange(region.recorded, false) || region.generation != generation_) return;
+  const std::byte* const back = back_.mapped() + frame * backBytes();
+  const auto word = [&](uint32_t at) {
+    uint32_t value = 0;
+    std::memcpy(&value, back + at * sizeof(value), sizeof(value));
+    return value;
+  };
+  for (uint32_t b = 0; b < region.blocks; ++b) {
+    if (word(b) == 0) continue;
+    for (uint32_t place = 0; place < entered_by_.size(); ++place)
+      if (entered_by_[place] == region.first_block + b && places_.slotOf(place) != kNoSlot) places_.giveUp(place);
+    places_changed_ = true;
+    ++stats_.refused;
+    stats_.last_event = "light would be caught among the nodes that enter: I - S C is singular to working precision";
+  }
+  if (region.measured && !addUp(region, back + sumsAt())) {  // nothing of B can be kept
+    restart_ = true;
+    return startOver("radiosity was not finite");
+  }
+  if (const uint32_t spoilt = word(blocks_); spoilt != 0)
+    return startOver(spoilt == shaders::kSpoiltPrecision ? "the matrix has lost its precision: I + G C is singular"
+                                                         : "the matrix is not finite");
+  if (region.measured) watch(region);
+}
+
+// Whether they are finite.
+bool DenseStep::addUp(Region& region, const std::byte* sums) {
+  double left = 0, norm = 0;
+  float largest_left = 0, largest = 0;
+  for (uint32_t g = 0; g < groupsOf(region.slots, shaders::kBounceGroup); ++g) {
+    shaders::StepSums s;
+    std::memcpy(&s, sums + g * sizeof(s), sizeof(s));
+    left += static_cast<double>(s.left);
+    norm += static_cast<double>(s.norm);
+    largest_left = std::max(largest_left, s.largest_left);
+    largest = std::max(largest, s.largest);
+    region.comparable = region.comparable && s.relit == 0;
+  }
+  if (!std::isfinite(left + norm)) return false;
+  residual_ = largest > 0 ? static_cast<double>(largest_left / largest) : 0;
+  stats_.residual = norm > 0 ? std::sqrt(left / norm) : 0;
+  return true;
+}
+
+void DenseStep::watch(const Region& region) {
+  // With the light and the nodes as they were, a correction that leaves more than it found is none.
+  const double before = std::exchange(before_, stats_.residual);
+  if (region.comparable && !region.rebuilding && before > 0.01 && stats_.residual > 1.5 * before)
+    startOver("corrections made the error grow from " + std::to_string(before) + " to " +
+              std::to_string(stats_.residual));
+}
+
+bool DenseStep::recordChange(VkCommandBuffer c, uint32_t frame, int iterations, bool disturbed) {
+  read(frame);
+  Region& region = regions_[frame];
+  region = {};
+  disturbed_ = disturbed_ || disturbed;
+  region.comparable = !disturbed_;
+  if (iterations > 0) disturbed_ = false;
+  region.rebuilding = rebuilding_;
+  words_used_ = 0;
+  // Nodes that enter cost as much as nodes that leave, and may wait.
+  const size_t leaving = places_.givenUp().size();
+  const uint64_t leaving_words = groupsOf(static_cast<uint32_t>(leaving), kMaxBlock) * steps_->wordsOf({});
+  if ((leaving > size_t{4} * kMaxBlock && leaving > places_.taken()) || leaving_words > wordsLeft()) forget();
+  if (clear_) {
+    steps_->recordClear(c);
+    separate(c);
+    clear_ = false;
+  }
+  region.generation = generation_;
+  recordLeaving(c, frame);
+  if (iterations > 0) recordEntering(c, frame);
+  if (std::exchange(places_changed_, false)) {
+    const std::span<const uint32_t> slots = places_.slots();
+    std::memcpy(up_.mapped() + frame * upBytes(), slots.data(), slots.size_bytes());
+    const VkBufferCopy copy{frame * upBytes(), 0, slots.size_bytes()};
+    vkCmdCopyBuffer(c, up_.handle(), slots_.handle(), 1, &copy);
+    separate(c);
+  }
+  rebuilding_ = rebuilding_ && places_.waiting() > 0;
+  stats_.waiting = places_.waiting();
+  stats_.on_places = places_.taken();
+  return std::exchange(restart_, false);
+}
+
+void DenseStep::recordBlock(VkCommandBuffer c, const VulkanBounceSteps::Block& block, uint32_t frame) {
+  const uint64_t offset = frame * upBytes() + (steps_->stride() + words_used_) * sizeof(uint32_t);
+  words_used_ += block.words;
+  steps_->recordUpload(c, block, up_.handle(), offset);
+  separate(c);
+  steps_->recordChange(c, block);
+  separate(c);
+}
+
+void DenseStep::recordLeaving(VkCommandBuffer c, uint32_t frame) {
+  const std::span<const uint32_t> leaving = places_.givenUp();
+  for (size_t first = 0; first < leaving.size(); first += kMaxBlock) {
+    const auto some = leaving.subspan(first, std::min<size_t>(kMaxBlock, leaving.size() - first));
+    recordBlock(c, steps_->describe(some, room(frame)), frame);
+  }
+  places_.forgetGivenUp();
+}
+
+void DenseStep::recordEntering(VkCommandBuffer c, uint32_t frame) {
+  if (places_.waiting() == 0) return;
+  Region& region = regions_[frame];
+  region.first_block = block_ + 1;
+  const uint32_t chosen = places_.choose(uint64_t{blocks_} * kMaxBlock);
+  for (uint32_t first = 0; first < chosen; first += kMaxBlock) {
+    const uint32_t count = std::min(kMaxBlock, chosen - first);
+    const EnteringBlock block = places_.seat(first, count);
+    if (steps_->wordsOf(block) > wordsLeft()) {
+      places_.unseat(first, count, false);
+      return;
+    }
+    const auto described = steps_->describe(block, room(frame));
+    if (!described) {
+      places_.unseat(first, count, true);
+      ++stats_.refused;
+      stats_.last_event = described.error().line();
+      continue;
+    }
+    ++block_;
+    for (const uint32_t place : block.places) entered_by_[place] = block_;
+    recordBlock(c, *described, frame);
+    const VkBufferCopy status{0, frame * backBytes() + region.blocks++ * sizeof(uint32_t), sizeof(uint32_t)};
+    vkCmdCopyBuffer(c, steps_->status().handle(), back_.handle(), 1, &status);
+    separate(c);
+    stats_.entered += count;
+    places_changed_ = true;
+  }
+}
+
+void DenseStep::recordStep(VkCommandBuffer c, uint32_t now, bool first) {
+  const shaders::CorrectPush push{steps_->stride(), matrix_->slots(), first};
+  const uint32_t groups = groupsOf(std::max(matrix_->slots(), steps_->stride()), shaders::kBounceGroup);
+  residual_pass_.dispatch(c, residual_set_[now], &push, groups);
+  separate(c);
+  if (places_.taken() == 0) return;
+  steps_->recordProduct(c, 0);
+  correct_.dispatch(c, correct_set_[now], &push, groupsOf(steps_->stride(), shaders::kBounceGroup));
+  separate(c);
+}
+
+void DenseStep::recordEnd(VkCommandBuffer c, uint32_t frame, int iterations) {
+  Region& region = regions_[frame];
+  region.recorded = true;
+  region.measured = iterations > 0;
+  region.slots = region.measured ? matrix_->slots() : 0;
+  const VkBufferCopy spoilt{sizeof(uint32_t), frame * backBytes() + blocks_ * sizeof(uint32_t), sizeof(uint32_t)};
+  vkCmdCopyBuffer(c, steps_->status().handle(), back_.handle(), 1, &spoilt);
+  if (region.measured) {
+    const VkBufferCopy sums{0, frame * backBytes() + sumsAt(),
+                            groupsOf(region.slots, shaders::kBounceGroup) * sizeof(shaders::StepSums)};
+    vkCmdCopyBuffer(c, sums_.handle(), back_.handle(), 1, &sums);
+  }
+  barrier(c, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+          VK_ACCESS_HOST_READ_BIT);
+}
+
+Result<void> DenseStep::fillMatrix(float value) {
+  auto filled = context_->run([&](VkCommandBuffer c) { steps_->recordFill(c, value); });
+  return filled ? Result<void>() : filled.error();
+}
+
+}  // namespace
+
+Result<std::unique_ptr<GatherCorrection>> makeVulkanDenseStep(std::shared_ptr<VkContext> context,
+                                                              const MultibounceSettings& settings, uint32_t blocks) {
+  MultibounceSettings whole = settings;
+  whole.time_slice = false;
+  auto steps = VulkanBounceSteps::create(context, whole);
+  if (!steps) return steps.error();
+  return std::unique_ptr<GatherCorrection>(std::make_unique<DenseStep>(std::move(context), std::move(*steps), blocks));
+}
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanDenseRecorder(std::shared_ptr<VkContext> context,
+                                                                const VulkanGatherSettings& room,
+                                                                const MultibounceSettings& settings) {
+  auto step = makeVulkanDenseStep(context, settings);
+  if (!step) return step.error();
+  return makeVulkanRecorder(std::move(context), room, std::move(*step));
+}
+
+}  // namespace ff::runtime
