@@ -19,7 +19,7 @@ void main() {
   if (slot == kTopSlot) return;
   vec3 e;
   for (uint c = 0u; c < 3u; ++c) e[c] = vectors[c * (4u * push.stride + kBounceBlock) + 3u * push.stride + place];
-  if (any(isnan(e)) || any(isinf(e))) {
+  if (any(equal(floatBitsToUint(e) & 0x7f800000u, uvec3(0x7f800000u)))) {  // by its bits: drivers may take isnan() for false
     atomicMax(spoilt, kSpoiltNotFinite);
     return;
   }

@@ -181,6 +181,13 @@ void DenseStep::read(uint32_t frame) {
     std::memcpy(&value, back + at * sizeof(value), sizeof(value));
     return value;
   };
+  if (region.measured && !addUp(region, back + sumsAt())) {  // nothing of B can be kept
+    restart_ = true;
+    return startOver("radiosity was not finite");
+  }
+  if (const uint32_t spoilt = word(blocks_); spoilt != 0)
+    return startOver(spoilt == shaders::kSpoiltPrecision ? "the matrix has lost its precision: I + G C is singular"
+                                                         : "the matrix is not finite");
   for (uint32_t b = 0; b < region.blocks; ++b) {
     if (word(b) == 0) continue;
     for (uint32_t place = 0; place < entered_by_.size(); ++place)
@@ -189,13 +196,6 @@ void DenseStep::read(uint32_t frame) {
     ++stats_.refused;
     stats_.last_event = "light would be caught among the nodes that enter: I - S C is singular to working precision";
   }
-  if (region.measured && !addUp(region, back + sumsAt())) {  // nothing of B can be kept
-    restart_ = true;
-    return startOver("radiosity was not finite");
-  }
-  if (const uint32_t spoilt = word(blocks_); spoilt != 0)
-    return startOver(spoilt == shaders::kSpoiltPrecision ? "the matrix has lost its precision: I + G C is singular"
-                                                         : "the matrix is not finite");
   if (region.measured) watch(region);
 }
 

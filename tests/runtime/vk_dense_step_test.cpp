@@ -162,7 +162,7 @@ struct Kind {
 // fp16 rounds by 2^-11 and luminance leaves the third power of the colours' deviation; corrections then take that away.
 const Kind kKinds[] = {{{.places = 1000}, kRounding, kRounding},
                        {{.places = 1000, .storage = Storage::kFloat16}, 5e-3, kRounding},
-                       {{.places = 1000, .storage = Storage::kFloat16, .luminance = true}, 0.2, kRounding}};
+                       {{.places = 1000, .storage = Storage::kFloat16, .luminance = true}, 1e-2, kRounding}};
 
 TEST_F(VkDenseStep, TheFrameAfterTheLightChangesHasAllBounces) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false, .seed = 3});
@@ -437,6 +437,7 @@ TEST_F(VkDenseStep, NodesThatCannotLeaveSpoilTheMatrixAndNothingElse) {
     for (const uint32_t s : m.leaves) ASSERT_LT(out[s].y, 100) << "frame " << frame;  // sources are below 10
   }
   EXPECT_EQ(solver->dense()->rebuilds, 1u);
+  EXPECT_EQ(solver->dense()->refused, 0u) << "what the spoilt matrix refused is nobody's fault";
   EXPECT_NE(solver->dense()->last_event.find("lost its precision"), std::string::npos) << solver->dense()->last_event;
   EXPECT_LE(differenceOf(m, out, converged(m, randomSource(m, 2))), kRounding);
 }
