@@ -27,10 +27,17 @@ void release(void* memory) {
 
 ff::MemoryCalls ff::memoryCalls() { return calls; }
 
-// The other forms call these, by the standard.
+// The other forms call these, by the standard; a sanitizer's own does not, so the one that drivers use is here as well.
 void* operator new(std::size_t bytes) { return counted(bytes, 1); }
 void* operator new(std::size_t bytes, std::align_val_t alignment) {
   return counted(bytes, static_cast<std::size_t>(alignment));
+}
+void* operator new(std::size_t bytes, const std::nothrow_t&) noexcept {
+  try {
+    return counted(bytes, 1);
+  } catch (...) {
+    return nullptr;
+  }
 }
 void operator delete(void* memory) noexcept { release(memory); }
 void operator delete(void* memory, std::size_t) noexcept { release(memory); }
