@@ -94,8 +94,8 @@ std::vector<std::pair<Cell, Polygon>> clipToGrid(const Polygon& polygon, double 
 // least that seeps in.)
 // Nearer than 1 - kTouch of the way to where rays start, two surfaces are one to rounding, and neither is covered.
 constexpr float kTouch = 0.9f;
-constexpr uint32_t kFew = 8, kOfCrumbs = 16, kWalks = 4, kBounces = 16;
-constexpr float kNear = 1, kOut = 1;
+constexpr uint32_t kFew = 8, kOfCrumbs = 16, kWalks = 4, kBounces = 64;
+constexpr float kNear = 1, kOut = 4;
 constexpr double kOpen = 0.15, kCrevice = 0.8, kClosed = 0.95, kLeastCells = 0.05;
 
 bool isCrumb(const Piece& piece) {
