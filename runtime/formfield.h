@@ -203,8 +203,7 @@ typedef struct FormfieldStats {
                                                   leaves, before the last step of the frame frames_in_flight ago */
   uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
   uint64_t dense_refused, dense_rebuilds;      /* blocks that could not enter with correct digits; matrices built anew */
-  double dense_probe;                          /* error of the dense matrix, probed with random vectors; on Vulkan 0:
-                                                  a multibounce there is watched by its residual alone */
+  double dense_probe;                          /* error of the dense matrix, probed with random vectors; 0: not yet */
   uint64_t probes_traced, probes_remembered;   /* points answered by new rays, by remembered ones */
   uint32_t probe_tiles;                        /* level-0 tiles whose triangles are loaded */
 } FormfieldStats;

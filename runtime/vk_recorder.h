@@ -31,7 +31,7 @@ class VulkanRecorder : public Solver {
   // Largest |M + C F B - B| over the largest B of any channel, before the last step of the record frames_in_flight ago,
   // over all leaves; negative: not measured (gather never is).
   virtual double residual() const = 0;
-  virtual const DenseStats* dense() const = 0;  // null: gather. Lags by frames_in_flight records; has no probe.
+  virtual const DenseStats* dense() const = 0;  // null: gather. Lags by frames_in_flight records.
 };
 
 Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,

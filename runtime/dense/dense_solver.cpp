@@ -6,17 +6,12 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/dense/cut_places.h"
-#include "runtime/gather_kernels.h"
-#include "runtime/worker_pool.h"
+#include "runtime/dense/bounce_probe.h"
 
 namespace ff::runtime {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-
-constexpr uint32_t kPartLeaves = 256;  // of a part handed to a thread
-constexpr uint32_t kProbeFrames = 16, kProbeRows = 8;
 
 Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
 Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
@@ -30,16 +25,13 @@ class Dense final : public DenseSolver {
   Dense(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings)
       : bounces_(std::move(matrix)),
         settings_(settings),
-        limit_(settings.probe_limit > 0 ? settings.probe_limit : defaultProbeLimit(bounces_->name())),
-        pool_(settings.threads),
         name_(std::string("dense: ") + bounces_->name()),
-        places_(bounces_->capacity()) {
-    if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
-    for (auto* v : {&source_, &irradiance_, &radiosity_, &scale_, &minus_, &residual_, &work_}) v->reserve(kMaxSlots);
+        places_(bounces_->capacity()),
+        rows_(settings.threads),
+        probe_(bounces_->capacity(), settings.probe_limit > 0 ? settings.probe_limit : defaultProbeLimit(bounces_->name())) {
+    for (auto* v : {&source_, &irradiance_, &radiosity_, &minus_, &residual_}) v->reserve(kMaxSlots);
     by_place_.assign(bounces_->capacity(), {});
     out_by_place_.assign(bounces_->capacity(), {});
-    for (auto* list : {&sampled_, &probe_places_}) list->reserve(kMaxSlots);
-    probe_x_.reserve(bounces_->capacity());
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
@@ -50,14 +42,13 @@ class Dense final : public DenseSolver {
     const std::span<const uint32_t> leaving = places_.update(matrix, change, first);
 
     const bool anew = first || change.renumbered;
-    if (first) fresh_ = -1, untouched_ = true;
+    if (first) probe_.builtAnew();
     for (auto* v : {&irradiance_, &radiosity_, &source_}) {
       if (anew) v->clear();
       v->resize(slots);
     }
-    for (auto* v : {&scale_, &minus_, &residual_, &work_}) v->assign(slots, {});
-    for (const uint32_t s : matrix.leaves)
-      scale_[s] = {matrix.row_scale[s], matrix.row_scale[s], matrix.row_scale[s], 0};
+    for (auto* v : {&minus_, &residual_}) v->assign(slots, {});
+    rows_.takeUp(matrix);
     if (!anew)
       for (const uint32_t t : change.entered) {  // parents first
         const SlotRange& range = matrix.tiles[t];
@@ -69,7 +60,7 @@ class Dense final : public DenseSolver {
       }
     before_ = -1;
     if (!leaving.empty()) {
-      untouched_ = false;
+      probe_.nodesLeft();
       stats_.left += leaving.size();
       if (auto removed = bounces_->remove(leaving); !removed) {
         if (removed.error().cause != ErrorCause::kOther) return removed;
@@ -169,45 +160,15 @@ class Dense final : public DenseSolver {
     places_.clear();
     rebuilding_ = true;
     countPlaces();
-    probe_frame_ = 0;
-    probe_left_ = probe_norm_ = 0;
-    fresh_ = before_ = -1;
-    untouched_ = true;
+    probe_.builtAnew();
+    before_ = -1;
     return {};
-  }
-
-  // Refined slots: the mean of their children.
-  void refine(std::vector<Vec4>& values) {
-    for (const LocalMatrix::Refined& refined : matrix_->refined) {
-      Vec4 mean;
-      for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c) {
-        const float weight = places_.blocks().childWeight(c);
-        mean = mean + values[c] * Vec4{weight, weight, weight, 0};
-      }
-      values[refined.slot] = mean;
-    }
   }
 
   void compose() {
     for (const uint32_t s : matrix_->leaves) radiosity_[s] = source_[s] + matrix_->albedo[s] * irradiance_[s];
-    refine(radiosity_);
-    refine(irradiance_);  // for slots that become leaves when their children leave
-  }
-
-  // to[s] = F from - minus, for the slots listed.
-  void gather(const std::vector<uint32_t>& slots, const std::vector<Vec4>& from, const std::vector<Vec4>& minus,
-              std::vector<Vec4>& to) {
-    const GatherJob job{matrix_->row_start.data(),
-                        matrix_->row_entries.data(),
-                        matrix_->entries.data(),
-                        slots.data(),
-                        scale_.data(),
-                        minus.data(),
-                        from.data(),
-                        to.data()};
-    const auto count = static_cast<uint32_t>(slots.size());
-    pool_.run((count + kPartLeaves - 1) / kPartLeaves,
-              [&](uint32_t part) { kernel_(job, part * kPartLeaves, std::min((part + 1) * kPartLeaves, count)); });
+    rows_.refine(places_.blocks(), radiosity_);
+    rows_.refine(places_.blocks(), irradiance_);  // for slots that become leaves when their children leave
   }
 
   Result<void> relight() {
@@ -222,7 +183,7 @@ class Dense final : public DenseSolver {
   Result<void> correct() {
     compose();
     for (const uint32_t s : matrix_->leaves) minus_[s] = irradiance_[s] * Vec4{-1, -1, -1, 0};
-    gather(matrix_->leaves, radiosity_, minus_, residual_);
+    rows_.gather(matrix_->leaves, radiosity_, minus_, residual_);
     double left = 0, norm = 0;
     for (const uint32_t s : matrix_->leaves) {
       left += squared(residual_[s]);
@@ -256,83 +217,32 @@ class Dense final : public DenseSolver {
     return {};
   }
 
-  // One sixteenth of the round (dense_solver.h). Among the nodes on places only: G is theirs alone.
   Result<void> probe() {
     if (rebuilding_ || stats_.on_places == 0) return {};
-    const auto random = [this] {
-      random_ = random_ * 6364136223846793005u + 1442695040888963407u;
-      return static_cast<float>(random_ >> 40) / 16777216.0f;
-    };
-    probe_places_.clear();
-    probe_x_.clear();
-    sampled_.clear();
-    std::fill(work_.begin(), work_.end(), Vec4{});
+    probe_.draw(places_);
     std::fill(out_by_place_.begin(), out_by_place_.end(), Vec4{});
-    const uint32_t row_phase = static_cast<uint32_t>(random_ >> 33) % kProbeRows;
-    for (uint32_t p = 0, n = 0; p < bounces_->capacity(); ++p) {
-      const uint32_t s = places_.slotOf(p);
-      if (s == kNoSlot) continue;
-      if (n % kProbeFrames == probe_frame_) {
-        probe_places_.push_back(p);
-        probe_x_.push_back({random(), random(), random(), 0});
-        work_[s] = probe_x_.back();
-      }
-      if (n++ / kProbeFrames % kProbeRows == row_phase) sampled_.push_back(s);
-    }
-    if (auto lit = bounces_->relightChanged(probe_places_, probe_x_, out_by_place_); !lit) return lit;
-    // F x, then F (x + C y) - y.
-    refine(work_);
-    for (const uint32_t s : sampled_) minus_[s] = {};
-    gather(sampled_, work_, minus_, residual_);
-    for (const uint32_t s : sampled_) {
-      probe_norm_ += squared(residual_[s]);
-      minus_[s] = out_by_place_[places_.placeOf(s)] * Vec4{-1, -1, -1, 0};
-    }
-    for (uint32_t p = 0; p < bounces_->capacity(); ++p)
-      if (const uint32_t s = places_.slotOf(p); s != kNoSlot)
-        work_[s] = work_[s] + matrix_->albedo[s] * out_by_place_[p];
-    refine(work_);
-    gather(sampled_, work_, minus_, residual_);
-    for (const uint32_t s : sampled_) probe_left_ += squared(residual_[s]);
-    if (++probe_frame_ < kProbeFrames) return {};
-    probe_frame_ = 0;
-    stats_.probe = probe_norm_ > 0 ? std::sqrt(probe_left_ / probe_norm_) : 0;
-    probe_left_ = probe_norm_ = 0;
-    if (untouched_ && std::isfinite(stats_.probe) && (fresh_ < 0 || stats_.probe < fresh_)) fresh_ = stats_.probe;
-    const double limit = std::max(limit_, kOfFresh * fresh_);
-    if (stats_.probe <= limit) return {};
-    return startRebuild("residual probe " + std::to_string(stats_.probe) + " above its limit of " +
-                        std::to_string(limit));
+    if (auto lit = bounces_->relightChanged(probe_.places(), probe_.x(), out_by_place_); !lit) return lit;
+    probe_.judge(*matrix_, places_, rows_, out_by_place_);
+    stats_.probe = probe_.round();
+    return probe_.verdict().empty() ? Result<void>() : startRebuild(probe_.verdict());
   }
 
   std::unique_ptr<BounceMatrix> bounces_;
   DenseSettings settings_;
-  double limit_;
-  WorkerPool pool_;
-  GatherKernel kernel_ = gatherPortable;
   std::string name_;
   CutPlaces places_;
+  SparseRows rows_;
+  BounceProbe probe_;
   const LocalMatrix* matrix_ = nullptr;
-  std::vector<Vec4> source_, irradiance_, radiosity_, scale_, minus_, residual_, work_;  // per slot
-  std::vector<Vec4> by_place_, out_by_place_, probe_x_;
-  std::vector<uint32_t> sampled_, probe_places_;
+  std::vector<Vec4> source_, irradiance_, radiosity_, minus_, residual_;  // per slot
+  std::vector<Vec4> by_place_, out_by_place_;
   bool rebuilding_ = false;
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
-  uint32_t probe_frame_ = 0;
-  double probe_left_ = 0, probe_norm_ = 0;
-  bool untouched_ = true;  // no node has left since the matrix was built
-  double fresh_ = -1;  // the least of the rounds while it was untouched; -1: none yet
-  uint64_t random_ = 1;
   double last_ms_ = 0;
   DenseStats stats_;
 };
 
 }  // namespace
-
-double defaultProbeLimit(const std::string& matrix_name) {
-  if (matrix_name.find("luminance") != std::string::npos) return 5e-2;
-  return matrix_name.find("fp16") != std::string::npos ? 2e-2 : 1e-4;
-}
 
 std::unique_ptr<DenseSolver> makeDenseSolver(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings) {
   return std::make_unique<Dense>(std::move(matrix), settings);

@@ -23,25 +23,13 @@ struct DenseSettings {
   uint32_t blocks_per_frame = 0;
   // Columns of a time-sliced matrix brought up to date in a frame.
   uint32_t columns_per_frame = 512;
-  // The residual probe: with x random on a sixteenth of the places, another one each frame, y = G x, it takes
-  // ||(I - F C) y - F x|| / ||F x|| on an eighth of the rows, and after sixteen frames the norms' ratio over all. Cost
-  // a frame: a sixteenth of a dense product and a quarter of a sparse one. Above the limit, and above kOfFresh times
-  // what the matrix had when it was last built, it is built anew, kRebuildBlocks a frame. 0: defaultProbeLimit().
+  // The residual probe (bounce_probe.h), a sixteenth of a round each frame. Cost of it: a sixteenth of a dense product and
+  // a quarter of a sparse one. Above the limit the matrix is built anew, kRebuildBlocks a frame. 0: defaultProbeLimit().
   double probe_limit = 0;
   int threads = 0;  // for the sparse rows; 0 = all cores
 };
 
 inline constexpr uint32_t kRebuildBlocks = 4;
-// Rounding leaves a residual also in a matrix just built, the more the more light a room keeps (closed boxes of 256
-// places, fp32: 1e-5 at albedo 0.98, 2e-4 at 0.999): to build anew what is no worse would not help.
-// Only rounds of the probe before any node has left count as fresh: where swaps spoil a matrix within its first round, its
-// limit is not raised.
-inline constexpr double kOfFresh = 4;
-
-// What a matrix of this name() can hold: 1e-4, fp16 2e-2, luminance 5e-2. The residual is relative to light that has
-// bounced once; where a room multiplies light it multiplies errors as well, so that relative to E they come out at 0.03
-// to 0.6 of it (the same boxes, albedo 0.9 to 0.999).
-double defaultProbeLimit(const std::string& matrix_name);
 
 struct DenseStats {
   uint64_t entered = 0, left = 0;  // nodes, over all changes of the cut

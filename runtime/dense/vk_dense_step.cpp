@@ -9,12 +9,14 @@
 
 #include "bounce_correct_comp.h"
 #include "bounce_residual_comp.h"
-#include "runtime/dense/cut_places.h"
+#include "runtime/dense/bounce_probe.h"
 #include "runtime/dense/vk_bounce_steps.h"
 #include "runtime/vk_device.h"
 
 namespace ff::runtime {
 namespace {
+
+constexpr uint32_t kFewestProbed = 16;  // nodes on places: one for each sixteenth
 
 class DenseStep final : public GatherCorrection {
  public:
@@ -23,6 +25,8 @@ class DenseStep final : public GatherCorrection {
         steps_(std::move(steps)),
         blocks_(blocks),
         places_(steps_->settings().places),
+        probe_(steps_->settings().places, defaultProbeLimit(steps_->name())),
+        probe_y_(steps_->settings().places),
         entered_by_(steps_->settings().places),
         name_("dense: " + steps_->name()) {}
 
@@ -37,20 +41,27 @@ class DenseStep final : public GatherCorrection {
   Result<void> fillMatrix(float value) override;
 
  private:
-  // What a frame in flight will bring back, in this order: the status of each block that enters, `spoilt`, sums.
+  // What a frame in flight will bring back, in this order: the status of each block that enters, `spoilt`, y of the
+  // probe, sums.
   struct Region {
-    bool recorded = false, measured = false, comparable = false, rebuilding = false;
+    bool recorded = false, measured = false, comparable = false, rebuilding = false, probed = false;
     uint32_t slots = 0, blocks = 0;
     uint64_t generation = 0, first_block = 0;
   };
-  uint64_t upBytes() const { return (steps_->mostWords() + steps_->stride()) * sizeof(uint32_t); }
-  uint64_t sumsAt() const { return (blocks_ + 1) * sizeof(uint32_t); }
+  // A staging region: the slots by place; x of the probe and the places that it is not 0 at; what blocks need.
+  uint64_t channelBytes() const { return uint64_t{steps_->stride()} * sizeof(float); }
+  uint64_t blocksAt() const { return 5 * channelBytes(); }
+  uint64_t upBytes() const { return blocksAt() + steps_->mostWords() * sizeof(uint32_t); }
+  uint64_t probeAt() const { return (blocks_ + 1) * sizeof(uint32_t); }
+  uint64_t sumsAt() const { return probeAt() + 3 * channelBytes(); }
   uint64_t backBytes() const {
     return sumsAt() + groupsOf(slots_room_, shaders::kBounceGroup) * sizeof(shaders::StepSums);
   }
-  void read(uint32_t frame);
+  void read(uint32_t frame, bool may_judge);
   bool addUp(Region& region, const std::byte* sums);
   void watch(const Region& region);
+  void judge(const std::byte* y);
+  void recordProbe(VkCommandBuffer c, uint32_t frame);
   void forget();
   void startOver(std::string why);
   void recordLeaving(VkCommandBuffer c, uint32_t frame);
@@ -58,7 +69,7 @@ class DenseStep final : public GatherCorrection {
   void recordBlock(VkCommandBuffer c, const VulkanBounceSteps::Block& block, uint32_t frame);
   // Words of the frame's staging region, from where it is still free.
   uint32_t* room(uint32_t frame) {
-    return reinterpret_cast<uint32_t*>(up_.mapped() + frame * upBytes()) + steps_->stride() + words_used_;
+    return reinterpret_cast<uint32_t*>(up_.mapped() + frame * upBytes() + blocksAt()) + words_used_;
   }
   uint64_t wordsLeft() const { return steps_->mostWords() - words_used_; }
 
@@ -73,6 +84,12 @@ class DenseStep final : public GatherCorrection {
 
   const LocalMatrix* matrix_ = nullptr;
   CutPlaces places_;
+  SparseRows rows_{1};  // for the probe, on the caller's thread
+  BounceProbe probe_;
+  std::vector<Vec4> probe_y_;  // by place
+  bool probing_ = false;       // one is on its way
+  bool probe_holds_ = false;   // and its places and rows are still those that it was drawn for
+  bool rows_hold_ = false;     // rows_ has taken up the matrix
   std::vector<uint64_t> entered_by_;  // per place: the number of the block that it entered by
   std::vector<Region> regions_;
   uint64_t block_ = 0;       // number of the last block that entered
@@ -149,10 +166,13 @@ void DenseStep::update(const LocalMatrix& matrix, const MatrixChange& change, bo
   matrix_ = &matrix;
   const auto leaving = places_.update(matrix, change, afresh);
   stats_.left += leaving.size();
+  if (!leaving.empty()) probe_.nodesLeft();
   if (afresh) {
     clear_ = true;
     ++generation_;
+    probe_.builtAnew();
   }
+  probe_holds_ = rows_hold_ = false;
   places_changed_ = true;
 }
 
@@ -162,6 +182,8 @@ void DenseStep::forget() {
   clear_ = places_changed_ = true;
   ++generation_;
   before_ = -1;
+  probe_.builtAnew();
+  probe_holds_ = false;
 }
 
 void DenseStep::startOver(std::string why) {
@@ -171,9 +193,10 @@ void DenseStep::startOver(std::string why) {
   forget();
 }
 
-// What the region's last frame has brought back.
-void DenseStep::read(uint32_t frame) {
+// What the region's last frame has brought back. The rows may be read if may_judge.
+void DenseStep::read(uint32_t frame, bool may_judge) {
   Region& region = regions_[frame];
+  if (region.probed) probing_ = false;
   if (!std::exchange(region.recorded, false) || region.generation != generation_) return;
   const std::byte* const back = back_.mapped() + frame * backBytes();
   const auto word = [&](uint32_t at) {
@@ -193,10 +216,13 @@ void DenseStep::read(uint32_t frame) {
     for (uint32_t place = 0; place < entered_by_.size(); ++place)
       if (entered_by_[place] == region.first_block + b && places_.slotOf(place) != kNoSlot) places_.giveUp(place);
     places_changed_ = true;
+    probe_holds_ = false;
+    probe_.nodesLeft();
     ++stats_.refused;
     stats_.last_event = "light would be caught among the nodes that enter: I - S C is singular to working precision";
   }
   if (region.measured) watch(region);
+  if (region.probed && probe_holds_ && may_judge) judge(back + probeAt());
 }
 
 // Whether they are finite.
@@ -226,8 +252,51 @@ void DenseStep::watch(const Region& region) {
               std::to_string(stats_.residual));
 }
 
+void DenseStep::judge(const std::byte* y) {
+  const auto channel = [&](size_t c, size_t place) {
+    float e = 0;
+    std::memcpy(&e, y + c * channelBytes() + place * sizeof(e), sizeof(e));
+    return e;
+  };
+  if (!std::exchange(rows_hold_, true)) rows_.takeUp(*matrix_);
+  for (size_t p = 0; p < probe_y_.size(); ++p) probe_y_[p] = {channel(0, p), channel(1, p), channel(2, p), 0};
+  probe_.judge(*matrix_, places_, rows_, probe_y_);
+  stats_.probe = probe_.round();
+  if (!probe_.verdict().empty()) startOver(probe_.verdict());
+}
+
+// After the frame's steps: the vectors are free again, and the last block's description with them.
+void DenseStep::recordProbe(VkCommandBuffer c, uint32_t frame) {
+  probe_.draw(places_);
+  const uint64_t from = frame * upBytes() + channelBytes();
+  auto* const x = reinterpret_cast<float*>(up_.mapped() + from);
+  std::memset(x, 0, 3 * channelBytes());
+  const std::span<const uint32_t> drawn = probe_.places();
+  for (size_t i = 0; i < drawn.size(); ++i) {
+    const Vec4& v = probe_.x()[i];
+    x[drawn[i]] = v.x;
+    x[steps_->stride() + drawn[i]] = v.y;
+    x[2 * steps_->stride() + drawn[i]] = v.z;
+  }
+  std::memcpy(x + 3 * steps_->stride(), drawn.data(), drawn.size_bytes());
+  VkBufferCopy up[3], down[3];
+  for (uint32_t k = 0; k < 3; ++k) {
+    up[k] = {from + k * channelBytes(), steps_->vectorAt(k, 0), channelBytes()};
+    down[k] = {steps_->vectorAt(k, steps_->irradianceAt()), frame * backBytes() + probeAt() + k * channelBytes(), channelBytes()};
+  }
+  // Luminance needs all columns after its first product.
+  const uint32_t columns = steps_->settings().luminance ? 0 : static_cast<uint32_t>(drawn.size());
+  vkCmdCopyBuffer(c, up_.handle(), steps_->vectors().handle(), 3, up);
+  const VkBufferCopy places{from + 3 * channelBytes(), 0, drawn.size_bytes()};
+  if (columns > 0) vkCmdCopyBuffer(c, up_.handle(), steps_->block().handle(), 1, &places);
+  separate(c);
+  steps_->recordProduct(c, columns);
+  vkCmdCopyBuffer(c, steps_->vectors().handle(), back_.handle(), 3, down);
+  regions_[frame].probed = probing_ = probe_holds_ = true;
+}
+
 bool DenseStep::recordChange(VkCommandBuffer c, uint32_t frame, int iterations, bool disturbed) {
-  read(frame);
+  read(frame, iterations > 0);
   Region& region = regions_[frame];
   region = {};
   disturbed_ = disturbed_ || disturbed;
@@ -261,7 +330,7 @@ bool DenseStep::recordChange(VkCommandBuffer c, uint32_t frame, int iterations, 
 }
 
 void DenseStep::recordBlock(VkCommandBuffer c, const VulkanBounceSteps::Block& block, uint32_t frame) {
-  const uint64_t offset = frame * upBytes() + (steps_->stride() + words_used_) * sizeof(uint32_t);
+  const uint64_t offset = frame * upBytes() + blocksAt() + words_used_ * sizeof(uint32_t);
   words_used_ += block.words;
   steps_->recordUpload(c, block, up_.handle(), offset);
   separate(c);
@@ -324,6 +393,7 @@ void DenseStep::recordEnd(VkCommandBuffer c, uint32_t frame, int iterations) {
   region.recorded = true;
   region.measured = iterations > 0;
   region.slots = region.measured ? matrix_->slots() : 0;
+  if (region.measured && !probing_ && !rebuilding_ && places_.taken() >= kFewestProbed) recordProbe(c, frame);
   const VkBufferCopy spoilt{sizeof(uint32_t), frame * backBytes() + blocks_ * sizeof(uint32_t), sizeof(uint32_t)};
   vkCmdCopyBuffer(c, steps_->status().handle(), back_.handle(), 1, &spoilt);
   if (region.measured) {

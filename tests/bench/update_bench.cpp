@@ -3,6 +3,7 @@
 // the set that is in at the moment. Synthetic form factors (tools/chart/walks.h). Prints JSON lines.
 #include <CLI/CLI.hpp>
 
+#include "runtime/dense/bounce_probe.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "runtime/dense/bounce_probe.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/matrix_assembler.h"

@@ -414,6 +414,55 @@ TEST_F(VkDenseStep, AMatrixThatGoesWrongIsBuiltAnew) {
   }
 }
 
+// What is too small to make light wrong, or errors grow, only slows the steps down: only random vectors find that.
+TEST_F(VkDenseStep, TheProbeFindsDriftThatTheLightDoesNotShow) {
+  LocalMatrix m = closedBox(300, 0.8f, 5);
+  finishByHand(m);
+  const std::vector<Vec4> source = randomSource(m, 2);
+  constexpr int kRound = 16 * Engine::kInFlight;  // frames
+  for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
+    const double healthy = storage == Storage::kFloat32 ? 1e-5 : 5e-3;
+    const auto solver = make({.places = 300, .storage = storage});
+    Engine engine(*context_, *solver);
+    engine.slots = m.slots();
+    ASSERT_TRUE(setMatrix(*solver, m));
+    ASSERT_TRUE(solver->setSource(source));
+    engine.frames(2 * kRound);
+    EXPECT_GT(solver->dense()->probe, 0);
+    EXPECT_LT(solver->dense()->probe, healthy);
+    EXPECT_EQ(solver->dense()->rebuilds, 0u) << solver->dense()->last_event;
+    ASSERT_TRUE(fillMatrix(*solver, 1e-5f));  // fp32 or two of fp16: next to nothing
+    engine.frames(2 * kRound);
+    EXPECT_EQ(solver->dense()->rebuilds, 1u);
+    EXPECT_NE(solver->dense()->last_event.find("probe"), std::string::npos) << solver->dense()->last_event;
+    engine.frames(2 * kRound);
+    EXPECT_LT(solver->dense()->probe, healthy);
+    EXPECT_EQ(solver->dense()->rebuilds, 1u);
+    EXPECT_LE(differenceOf(m, engine.radiosity(), converged(m, source)), kRounding);
+  }
+}
+
+// Vectors are judged frames after they were drawn: never by other rows or places than those of then.
+TEST_F(VkDenseStep, TheProbeFindsNothingOnAWalkWhereNothingIsWrong) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false, .seed = 3});
+  MatrixAssembler assembler(test.world());
+  const LocalMatrix& m = assembler.matrix();
+  const auto solver = make({.places = 600});
+  Engine engine(*context_, *solver);
+  for (uint64_t step = 0; step < 40; ++step) {
+    engine.begin();
+    ASSERT_TRUE(assembler.update(test.randomCut(0.9, step)));
+    ASSERT_TRUE(solver->update(m, assembler.change()));
+    engine.slots = m.slots();
+    ASSERT_TRUE(solver->setSource(randomSource(m, 1)));
+    engine.record();
+    engine.frames(2 + static_cast<int>(step % 2));
+  }
+  EXPECT_GT(solver->dense()->probe, 0);
+  EXPECT_LT(solver->dense()->probe, 1e-5);
+  EXPECT_EQ(solver->dense()->rebuilds + solver->dense()->refused, 0u) << solver->dense()->last_event;
+}
+
 TEST_F(VkDenseStep, NodesThatCannotLeaveSpoilTheMatrixAndNothingElse) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 3});
   MatrixAssembler assembler(test.world());

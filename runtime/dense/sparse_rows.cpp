@@ -1,0 +1,53 @@
+#include "runtime/dense/sparse_rows.h"
+
+#include <algorithm>
+
+namespace ff::runtime {
+namespace {
+
+constexpr uint32_t kPartLeaves = 256;  // of a part handed to a thread
+
+}  // namespace
+
+SparseRows::SparseRows(int threads) : pool_(threads) {
+  if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
+  scale_.reserve(kMaxSlots);
+}
+
+void SparseRows::takeUp(const LocalMatrix& matrix) {
+  matrix_ = &matrix;
+  scale_.assign(matrix.slots(), {});
+  for (const uint32_t s : matrix.leaves) {
+    const float scale = matrix.row_scale[s];
+    scale_[s] = {scale, scale, scale, 0};
+  }
+}
+
+void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> from, std::span<const Vec4> minus,
+                        std::span<Vec4> to) {
+  const GatherJob job{matrix_->row_start.data(),
+                      matrix_->row_entries.data(),
+                      matrix_->entries.data(),
+                      leaves.data(),
+                      scale_.data(),
+                      minus.data(),
+                      from.data(),
+                      to.data()};
+  const auto count = static_cast<uint32_t>(leaves.size());
+  pool_.run((count + kPartLeaves - 1) / kPartLeaves,
+            [&](uint32_t part) { kernel_(job, part * kPartLeaves, std::min((part + 1) * kPartLeaves, count)); });
+}
+
+void SparseRows::refine(const EnteringBlocks& blocks, std::span<Vec4> values) const {
+  for (const LocalMatrix::Refined& refined : matrix_->refined) {
+    Vec4 mean;
+    for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c) {
+      const float weight = blocks.childWeight(c);
+      const Vec4& v = values[c];
+      mean = {mean.x + v.x * weight, mean.y + v.y * weight, mean.z + v.z * weight, 0};
+    }
+    values[refined.slot] = mean;
+  }
+}
+
+}  // namespace ff::runtime

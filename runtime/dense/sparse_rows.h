@@ -1,0 +1,30 @@
+// The sparse rows of a cut as the dense solvers on the CPU ask for them: F without albedo, for any of the leaves.
+#pragma once
+#include <span>
+#include <vector>
+
+#include "runtime/dense/entering_blocks.h"
+#include "runtime/gather_kernels.h"
+#include "runtime/worker_pool.h"
+
+namespace ff::runtime {
+
+// One caller at a time. Allocates at the start only.
+class SparseRows {
+ public:
+  explicit SparseRows(int threads);  // 0 = all cores
+  // The matrix stays where it is, and as it is until the next call.
+  void takeUp(const LocalMatrix& matrix);
+  // to[s] = F from - minus, for the leaves listed. All per slot; refined slots of `from` are the means of their children.
+  void gather(std::span<const uint32_t> leaves, std::span<const Vec4> from, std::span<const Vec4> minus, std::span<Vec4> to);
+  // Refined slots: the mean of their children. blocks: of the same matrix.
+  void refine(const EnteringBlocks& blocks, std::span<Vec4> values) const;
+
+ private:
+  WorkerPool pool_;
+  GatherKernel kernel_ = gatherPortable;
+  const LocalMatrix* matrix_ = nullptr;
+  std::vector<Vec4> scale_;  // per slot
+};
+
+}  // namespace ff::runtime
