@@ -44,7 +44,7 @@ struct Setting {
   std::vector<std::pair<std::string, std::string>> knobs{};  // all of them, in one order: {"patch size", "1 m"}, ...
   bool is_default = false;
   bool bakes_anew = false;             // needs another bake than the default
-  Figure relight_ms{};                 // a frame whose light changed: k steps of the solver; median, and its spread
+  Figure relight_ms{};                 // a frame whose light changed: k steps of the solver; mean over places of the medians, and spreads
   Figure update_ms_per_tile{};         // a level-0 tile of 256 patches enters the cut
   double disk_bytes = kNotMeasured;    // of the rows of all levels
   double memory_bytes = kNotMeasured;  // of the local matrix and the strips it is made from
