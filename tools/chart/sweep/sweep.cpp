@@ -88,8 +88,9 @@ bake::Scene without(bake::Scene scene, const std::vector<std::string>& leave_out
   return scene;
 }
 
-std::string bakeName(const BakeKnobs& k) {
-  return fmt::format("cell{:.4g}_rays{}_quanta{}", static_cast<double>(k.cell_m), k.rays, k.quanta);
+std::string bakeName(const BakeKnobs& k, uint32_t patch_budget) {
+  const std::string size = k.cell_m > 0 ? fmt::format("cell{:.4g}", static_cast<double>(k.cell_m)) : fmt::format("patches{}", patch_budget);
+  return fmt::format("{}_rays{}_quanta{}", size, k.rays, k.quanta);
 }
 
 struct Baked {
@@ -101,7 +102,8 @@ struct Baked {
 Result<Baked> bakeAt(const SweepOptions& options, const bake::Scene& scene, const BakeKnobs& knobs, const Say& say) {
   Baked baked;
   std::filesystem::create_directories(options.folder);
-  baked.path = (std::filesystem::path(options.folder) / (bakeName(knobs) + ".ffm")).string();
+  const std::string name = bakeName(knobs, options.patch_budget);
+  baked.path = (std::filesystem::path(options.folder) / (name + ".ffm")).string();
   bake::BakeSettings settings;
   settings.cell_m = knobs.cell_m;
   settings.patch_budget = options.patch_budget;
@@ -110,15 +112,15 @@ Result<Baked> bakeAt(const SweepOptions& options, const bake::Scene& scene, cons
   settings.seed = options.seed;
   settings.leave_out = options.leave_out;
   const std::string timed = baked.path + ".seconds";
-  if (knobs.cell_m > 0)
-    if (const auto there = formats::World::open(baked.path); there && there->info().bake_key == bake::bakeKey(scene, settings, knobs.cell_m))
+  if (const auto there = formats::World::open(baked.path))
+    if (there->info().bake_key == bake::bakeKey(scene, settings, knobs.cell_m > 0 ? knobs.cell_m : there->info().cell_m))
       if (std::ifstream in(timed); in >> baked.seconds) return baked;
   const auto start = Clock::now();
   const auto made = bake::bakeWorld(scene, settings, baked.path);
   if (!made) return made.error();
   baked.seconds = std::chrono::duration<double>(Clock::now() - start).count();
   std::ofstream(timed) << baked.seconds;
-  say(fmt::format("baked {} in {:.1f} s", bakeName(knobs), baked.seconds));
+  say(fmt::format("baked {} in {:.1f} s", name, baked.seconds));
   return baked;
 }
 
