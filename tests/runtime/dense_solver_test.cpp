@@ -6,45 +6,12 @@
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/matrix_assembler.h"
-#include "tests/runtime/hand_made.h"
+#include "tests/runtime/solver_truth.h"
 #include "tests/runtime/test_world.h"
 #include "tests/stream/counted_memory.h"
 
 namespace ff::runtime {
 namespace {
-
-std::vector<Vec4> randomSource(const LocalMatrix& matrix, uint64_t seed) {
-  std::mt19937_64 random(seed);
-  std::vector<Vec4> source(matrix.slots());
-  const auto next = [&] { return static_cast<float>(random() >> 40) / 16777216.0f; };
-  for (const uint32_t s : matrix.leaves) source[s] = {next(), 10 * next(), next() < 0.5f ? 0.0f : next(), 0};
-  return source;
-}
-
-// The gather solver run until nothing changes any more (albedos are at most 0.9, and 0.9^300 = 2e-14).
-std::vector<Vec4> converged(const LocalMatrix& matrix, std::span<const Vec4> source) {
-  const auto gather = makeCpuGather(1);
-  std::vector<Vec4> out(matrix.slots());
-  EXPECT_TRUE(setMatrix(*gather, matrix));
-  EXPECT_TRUE(gather->setSource(source));
-  EXPECT_TRUE(gather->iterate(300));
-  EXPECT_TRUE(gather->radiosity(out));
-  return out;
-}
-
-// Relative L2 over the slots in use.
-double differenceOf(const LocalMatrix& matrix, std::span<const Vec4> a, std::span<const Vec4> b) {
-  double difference = 0, norm = 0;
-  for (const SlotRange& range : matrix.tiles)
-    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s)
-      for (const auto channel : {&Vec4::x, &Vec4::y, &Vec4::z}) {
-        const auto x = static_cast<double>(a[s].*channel), y = static_cast<double>(b[s].*channel);
-        difference += (x - y) * (x - y);
-        norm += y * y;
-      }
-  EXPECT_GT(norm, 0);
-  return std::sqrt(difference / norm);
-}
 
 double errorOf(DenseSolver& solver, const LocalMatrix& matrix, std::span<const Vec4> source) {
   std::vector<Vec4> out(matrix.slots());
