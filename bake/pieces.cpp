@@ -179,7 +179,7 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
   uint32_t cast = 0, near = 0, covered = 0;
   std::array<Ray, kMostProbes> rays;  // those that end near
   for (uint32_t k = 0; k < (isCrumb(piece) ? kOfCrumbs : kMostProbes); ++k) {
-    if (k == kFew && near == 0 && covered % kFew == 0) break;
+    if (k == kFew && near == 0 && (covered == 0 || covered == kFew)) break;
     const auto u = points_.point(k, seeds);
     const float x = u[0] * area.back();
     const auto at = std::min<size_t>(static_cast<size_t>(std::upper_bound(area.begin(), area.end(), x) - area.begin()), area.size() - 1);

@@ -41,7 +41,7 @@ struct FormfieldDevice_T {
   virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
                                                           const ff::runtime::SolverChoice& choice) = 0;
   // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
-  virtual bool records() const { return false; }
+  bool records() const { return records(ff::runtime::SolverKind::kGather); }
   virtual bool records(ff::runtime::SolverKind) const { return false; }
   std::string name, error;
 };

@@ -122,7 +122,6 @@ struct VulkanDevice final : FormfieldDevice_T {
     const DenseStats* const known = &solver->stats();
     return withFallback(std::move(solver), known);
   }
-  bool records() const override { return true; }
   bool records(SolverKind kind) const override { return kind != SolverKind::kSeed; }
   // A device that is lost or full from the start is no worse than one that gets there.
   static Result<WorldSolver> withoutDevice(const Error& error) {

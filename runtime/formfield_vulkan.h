@@ -41,7 +41,7 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
  * commands. formfieldRadiosity, and with it formfieldSample, then lag by frames_in_flight frames.
  * gather and multibounce record. Leaves enter multibounce's dense matrix 256 a frame; those that wait are lit all the
  * same, as quickly as by gather. Its FormfieldStats lag by frames_in_flight frames. The matrix is watched by its residual
- * (built anew where a correction makes it grow under the same light), not by random vectors as on the CPU.
+ * and, where the cut stands for frames_in_flight frames, by random vectors: it is built anew where they find it wrong.
  * FORMFIELD_ERROR_UNSUPPORTED: seed, which is a baseline, or the CPU has taken over; formfieldFrame works. */
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
                                 const float velocity[3]);

@@ -8,11 +8,6 @@ namespace {
 
 constexpr uint32_t kFrames = 16, kRows = 8;
 
-double squared(const Vec4& v) {
-  return static_cast<double>(v.x) * static_cast<double>(v.x) + static_cast<double>(v.y) * static_cast<double>(v.y) +
-         static_cast<double>(v.z) * static_cast<double>(v.z);
-}
-
 }  // namespace
 
 double defaultProbeLimit(const std::string& matrix_name) {

@@ -15,10 +15,6 @@ using Clock = std::chrono::steady_clock;
 
 Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
 Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
-double squared(const Vec4& v) {
-  return static_cast<double>(v.x) * static_cast<double>(v.x) + static_cast<double>(v.y) * static_cast<double>(v.y) +
-         static_cast<double>(v.z) * static_cast<double>(v.z);
-}
 
 class Dense final : public DenseSolver {
  public:
@@ -194,10 +190,8 @@ class Dense final : public DenseSolver {
       return startRebuild("radiosity was not finite");
     }
     stats_.residual = norm > 0 ? std::sqrt(left / norm) : 0;
-    // With the light and the nodes as they were, a correction that leaves more than it found is none.
-    if (before_ > 0.01 && stats_.residual > 1.5 * before_ && !rebuilding_)
-      return startRebuild("corrections made the error grow from " + std::to_string(before_) + " to " +
-                          std::to_string(stats_.residual));
+    if (!rebuilding_)
+      if (std::string why = whyGrown(before_, stats_.residual); !why.empty()) return startRebuild(std::move(why));
     before_ = stats_.residual;
     if (stats_.on_places > 0) {
       for (uint32_t p = 0; p < bounces_->capacity(); ++p) {
@@ -243,6 +237,11 @@ class Dense final : public DenseSolver {
 };
 
 }  // namespace
+
+std::string whyGrown(double before, double now) {
+  if (!(before > 0.01 && now > 1.5 * before)) return {};
+  return "corrections made the error grow from " + std::to_string(before) + " to " + std::to_string(now);
+}
 
 std::unique_ptr<DenseSolver> makeDenseSolver(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings) {
   return std::make_unique<Dense>(std::move(matrix), settings);

@@ -31,6 +31,10 @@ struct DenseSettings {
 
 inline constexpr uint32_t kRebuildBlocks = 4;
 
+// With the light and the nodes as they were, a correction that leaves more than it found is none: why the matrix should be
+// built anew, from the residuals before two corrections (below 0: not to be compared with). Empty: it need not.
+std::string whyGrown(double before, double now);
+
 struct DenseStats {
   uint64_t entered = 0, left = 0;  // nodes, over all changes of the cut
   uint32_t on_places = 0;

@@ -30,7 +30,7 @@ class EnteringBlocks {
   EnteringBlock block(uint32_t first, uint32_t count, std::span<const uint32_t> place_of_slot);
 
   // Per slot: area over that of its parent's children. For slots that have a parent.
-  float childWeight(uint32_t slot) const { return child_weight_[slot]; }
+  std::span<const float> childWeights() const { return child_weight_; }
 
  private:
   struct Entry {

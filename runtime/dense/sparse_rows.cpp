@@ -39,15 +39,7 @@ void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> 
 }
 
 void SparseRows::refine(const EnteringBlocks& blocks, std::span<Vec4> values) const {
-  for (const LocalMatrix::Refined& refined : matrix_->refined) {
-    Vec4 mean;
-    for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c) {
-      const float weight = blocks.childWeight(c);
-      const Vec4& v = values[c];
-      mean = {mean.x + v.x * weight, mean.y + v.y * weight, mean.z + v.z * weight, 0};
-    }
-    values[refined.slot] = mean;
-  }
+  refineSlots(matrix_->refined.data(), blocks.childWeights().data(), values.data(), 0, static_cast<uint32_t>(matrix_->refined.size()));
 }
 
 }  // namespace ff::runtime

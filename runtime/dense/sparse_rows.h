@@ -9,6 +9,12 @@
 
 namespace ff::runtime {
 
+// Over the channels.
+inline double squared(const Vec4& v) {
+  return static_cast<double>(v.x) * static_cast<double>(v.x) + static_cast<double>(v.y) * static_cast<double>(v.y) +
+         static_cast<double>(v.z) * static_cast<double>(v.z);
+}
+
 // One caller at a time. Allocates at the start only.
 class SparseRows {
  public:

@@ -41,6 +41,11 @@ Error refusal(std::string message) {
 
 }  // namespace
 
+const char* whyRefused(bool leaving) {
+  return leaving ? "the matrix has lost its precision: I + G C is singular"
+                 : "light would be caught among the nodes that enter: I - S C is singular to working precision";
+}
+
 VulkanBounceSteps::VulkanBounceSteps(std::shared_ptr<VkContext> context, const MultibounceSettings& settings)
     : context_(std::move(context)),
       settings_(settings),
@@ -304,6 +309,25 @@ void VulkanBounceSteps::recordAdvance(VkCommandBuffer c, uint32_t columns) {
   recordFold(c, frontier_, end, pending_k_);
   frontier_ = end;
   if (frontier_ == used_) forgetPending();
+}
+
+void VulkanBounceSteps::recordLight(VkCommandBuffer c, VkBuffer from, uint64_t offset, uint32_t changed_places) const {
+  const uint64_t channel_bytes = uint64_t{stride_} * sizeof(float);
+  VkBufferCopy copies[3];
+  for (uint32_t channel = 0; channel < 3; ++channel)
+    copies[channel] = {offset + channel * channel_bytes, vectorAt(channel, 0), channel_bytes};
+  vkCmdCopyBuffer(c, from, vectors_.handle(), 3, copies);
+  if (changed_places == 0) return;
+  const VkBufferCopy places{offset + 3 * channel_bytes, 0, uint64_t{changed_places} * sizeof(uint32_t)};
+  vkCmdCopyBuffer(c, from, block_.handle(), 1, &places);
+}
+
+void VulkanBounceSteps::recordIrradiance(VkCommandBuffer c, VkBuffer to, uint64_t offset) const {
+  const uint64_t channel_bytes = uint64_t{stride_} * sizeof(float);
+  VkBufferCopy copies[3];
+  for (uint32_t channel = 0; channel < 3; ++channel)
+    copies[channel] = {vectorAt(channel, irradianceAt()), offset + channel * channel_bytes, channel_bytes};
+  vkCmdCopyBuffer(c, vectors_.handle(), to, 3, copies);
 }
 
 void VulkanBounceSteps::recordProduct(VkCommandBuffer c, uint32_t changed_places) const {

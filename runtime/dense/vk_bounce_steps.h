@@ -18,6 +18,9 @@ namespace ff::runtime {
 
 class VkContext;
 
+// Why status() is not 0, of a block that leaves or enters.
+const char* whyRefused(bool leaving);
+
 class VulkanBounceSteps {
  public:
   // A block that enters or leaves, as it was described.
@@ -55,9 +58,13 @@ class VulkanBounceSteps {
   // Brings up to so many columns up to date; pending() then says how many are left.
   void recordAdvance(VkCommandBuffer c, uint32_t columns);
   uint32_t pending() const { return pending_k_ > 0 ? used_ - frontier_ : 0; }
+  // Light to the vectors, [channel][place], 3 * stride() floats; behind it lie that many places, for recordProduct().
+  void recordLight(VkCommandBuffer c, VkBuffer from, uint64_t offset, uint32_t changed_places) const;
   // E = G x from the vectors to the vectors. changed_places: 0, or the block's buffer holds that many places and only
   // their columns are multiplied. Separates its own steps and ends separated.
   void recordProduct(VkCommandBuffer c, uint32_t changed_places) const;
+  // Irradiance from the vectors, in the order of the light.
+  void recordIrradiance(VkCommandBuffer c, VkBuffer to, uint64_t offset) const;
   // All nodes are gone.
   void recordClear(VkCommandBuffer c);
   void recordFill(VkCommandBuffer c, float value) const;  // for tests: every word of the matrix

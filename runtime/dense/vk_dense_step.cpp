@@ -209,8 +209,7 @@ void DenseStep::read(uint32_t frame, bool may_judge) {
     return startOver("radiosity was not finite");
   }
   if (const uint32_t spoilt = word(blocks_); spoilt != 0)
-    return startOver(spoilt == shaders::kSpoiltPrecision ? "the matrix has lost its precision: I + G C is singular"
-                                                         : "the matrix is not finite");
+    return startOver(spoilt == shaders::kSpoiltPrecision ? whyRefused(true) : "the matrix is not finite");
   for (uint32_t b = 0; b < region.blocks; ++b) {
     if (word(b) == 0) continue;
     for (uint32_t place = 0; place < entered_by_.size(); ++place)
@@ -219,7 +218,7 @@ void DenseStep::read(uint32_t frame, bool may_judge) {
     probe_holds_ = false;
     probe_.nodesLeft();
     ++stats_.refused;
-    stats_.last_event = "light would be caught among the nodes that enter: I - S C is singular to working precision";
+    stats_.last_event = whyRefused(false);
   }
   if (region.measured) watch(region);
   if (region.probed && probe_holds_ && may_judge) judge(back + probeAt());
@@ -245,11 +244,9 @@ bool DenseStep::addUp(Region& region, const std::byte* sums) {
 }
 
 void DenseStep::watch(const Region& region) {
-  // With the light and the nodes as they were, a correction that leaves more than it found is none.
   const double before = std::exchange(before_, stats_.residual);
-  if (region.comparable && !region.rebuilding && before > 0.01 && stats_.residual > 1.5 * before)
-    startOver("corrections made the error grow from " + std::to_string(before) + " to " +
-              std::to_string(stats_.residual));
+  if (!region.comparable || region.rebuilding) return;
+  if (std::string why = whyGrown(before, stats_.residual); !why.empty()) startOver(std::move(why));
 }
 
 void DenseStep::judge(const std::byte* y) {
@@ -279,19 +276,12 @@ void DenseStep::recordProbe(VkCommandBuffer c, uint32_t frame) {
     x[2 * steps_->stride() + drawn[i]] = v.z;
   }
   std::memcpy(x + 3 * steps_->stride(), drawn.data(), drawn.size_bytes());
-  VkBufferCopy up[3], down[3];
-  for (uint32_t k = 0; k < 3; ++k) {
-    up[k] = {from + k * channelBytes(), steps_->vectorAt(k, 0), channelBytes()};
-    down[k] = {steps_->vectorAt(k, steps_->irradianceAt()), frame * backBytes() + probeAt() + k * channelBytes(), channelBytes()};
-  }
   // Luminance needs all columns after its first product.
   const uint32_t columns = steps_->settings().luminance ? 0 : static_cast<uint32_t>(drawn.size());
-  vkCmdCopyBuffer(c, up_.handle(), steps_->vectors().handle(), 3, up);
-  const VkBufferCopy places{from + 3 * channelBytes(), 0, drawn.size_bytes()};
-  if (columns > 0) vkCmdCopyBuffer(c, up_.handle(), steps_->block().handle(), 1, &places);
+  steps_->recordLight(c, up_.handle(), from, columns);
   separate(c);
   steps_->recordProduct(c, columns);
-  vkCmdCopyBuffer(c, steps_->vectors().handle(), back_.handle(), 3, down);
+  steps_->recordIrradiance(c, back_.handle(), frame * backBytes() + probeAt());
   regions_[frame].probed = probing_ = probe_holds_ = true;
 }
 

@@ -13,8 +13,7 @@ namespace {
 
 Error refusal(bool leaving) {
   return Error{ErrorCode::kInvalidFile, "", "",
-               leaving ? "the matrix has lost its precision: I + G C is singular"
-                       : "light would be caught among the nodes that enter: I - S C is singular to working precision",
+               whyRefused(leaving),
                "rebuild the matrix, or use the gather solver"};
 }
 
@@ -127,22 +126,12 @@ Result<uint32_t> VulkanMultibounce::advance(uint32_t columns) {
 // changed_places: 0, or that many places lie behind the light and only their columns are multiplied.
 Result<void> VulkanMultibounce::multiply(uint32_t changed_places) {
   auto ms = context_->run([&](VkCommandBuffer c) {
-    const uint64_t channel_bytes = uint64_t{steps_->stride()} * sizeof(float);
-    VkBufferCopy up[3], down[3];
-    for (uint32_t channel = 0; channel < 3; ++channel) {
-      up[channel] = {channel * channel_bytes, steps_->vectorAt(channel, 0), channel_bytes};
-      down[channel] = {steps_->vectorAt(channel, steps_->irradianceAt()), channel * channel_bytes, channel_bytes};
-    }
-    vkCmdCopyBuffer(c, up_.handle(), steps_->vectors().handle(), 3, up);
-    if (changed_places > 0) {
-      const VkBufferCopy places{3 * channel_bytes, 0, uint64_t{changed_places} * sizeof(uint32_t)};
-      vkCmdCopyBuffer(c, up_.handle(), steps_->block().handle(), 1, &places);
-    }
+    steps_->recordLight(c, up_.handle(), 0, changed_places);
     separate(c);
     context_->beginTimed(c);
     steps_->recordProduct(c, changed_places);
     context_->endTimed(c);
-    vkCmdCopyBuffer(c, steps_->vectors().handle(), down_.handle(), 3, down);
+    steps_->recordIrradiance(c, down_.handle(), 0);
   });
   if (!ms) return ms.error();
   stats_.last_relight_ms = context_->timedMs();

@@ -53,6 +53,19 @@ class FormfieldVulkan : public testing::Test {
     formfieldCloseWorld(world);
     return light;
   }
+  // A world whose solver takes no command buffers, and says why.
+  void expectDoesNotRecord(FormfieldDevice device, FormfieldWorld world, const char* why) {
+    EXPECT_EQ(formfieldRecord(world, nullptr, kAt, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
+    EXPECT_NE(std::string(formfieldError(device)).find(why), std::string::npos) << formfieldError(device);
+  }
+  void open(FormfieldDevice device, FormfieldSolver solver, uint32_t places, FormfieldWorld* world) {
+    FormfieldWorldSettings settings;
+    formfieldDefaultWorldSettings(&settings);
+    settings.solver = solver;
+    settings.dense_places = places;
+    ASSERT_EQ(formfieldOpenWorld(device, test_.world().path().c_str(), &settings, world), FORMFIELD_OK)
+        << formfieldError(device);
+  }
   void expectNear(const std::vector<float>& got, const std::vector<float>& expected) {
     ASSERT_EQ(got.size(), expected.size());
     // Both are settled to 1e-6 of the largest radiosity; sums are in fp32, in different orders.
@@ -66,6 +79,7 @@ class FormfieldVulkan : public testing::Test {
     formfieldDestroyDevice(device_);
   }
 
+  static constexpr float kAt[3] = {16, 1, 16};
   TestWorld test_;
   FormfieldVulkanSettings settings_{};
   FormfieldDevice device_ = nullptr;
@@ -198,16 +212,9 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
 TEST_F(FormfieldVulkan, TheSeedDoesNotRecordAndSaysSo) {
   make();
   if (IsSkipped()) return;
-  FormfieldWorldSettings settings;
-  formfieldDefaultWorldSettings(&settings);
-  settings.solver = FORMFIELD_SOLVER_SEED;
-  settings.dense_places = 64;
   FormfieldWorld world = nullptr;
-  ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
-  const float at[3] = {16, 1, 16};
-  EXPECT_EQ(formfieldRecord(world, nullptr, at, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
-  EXPECT_NE(std::string(formfieldError(device_)).find("seed is a baseline"), std::string::npos)
-      << formfieldError(device_);
+  ASSERT_NO_FATAL_FAILURE(open(device_, FORMFIELD_SOLVER_SEED, 64, &world));
+  expectDoesNotRecord(device_, world, "seed is a baseline");
   EXPECT_EQ(formfieldRadiosityBuffer(world), VkBuffer{VK_NULL_HANDLE});
   formfieldCloseWorld(world);
 }
@@ -261,16 +268,10 @@ TEST_F(FormfieldVulkan, AFullDeviceHandsOverToTheCpuAndSaysSo) {
     FormfieldStats stats{};
     expectNear(lightAt(full, solver, &stats), expected);
     EXPECT_EQ(stats.fallbacks, 1u);
-    FormfieldWorldSettings settings;
-    formfieldDefaultWorldSettings(&settings);
-    settings.solver = solver;
-    settings.dense_places = 256;
     FormfieldWorld world = nullptr;
-    ASSERT_EQ(formfieldOpenWorld(full, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
-    const float at[3] = {16, 1, 16};
-    EXPECT_EQ(formfieldRecord(world, nullptr, at, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
-    EXPECT_NE(std::string(formfieldError(full)).find("the CPU has taken over"), std::string::npos);
-    EXPECT_EQ(formfieldFrame(world, at, nullptr), FORMFIELD_OK) << formfieldError(full);
+    ASSERT_NO_FATAL_FAILURE(open(full, solver, 256, &world));
+    expectDoesNotRecord(full, world, "the CPU has taken over");
+    EXPECT_EQ(formfieldFrame(world, kAt, nullptr), FORMFIELD_OK) << formfieldError(full);
     formfieldCloseWorld(world);
     formfieldDestroyDevice(full);
   }

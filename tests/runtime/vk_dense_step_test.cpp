@@ -21,8 +21,8 @@ namespace {
 
 constexpr double kRounding = 1e-5;  // fp32 sums of some hundred terms
 
-// A closed box: leaves that see each other at random, and nothing else.
-LocalMatrix closedBox(uint32_t leaves, float albedo, uint64_t seed, uint32_t entries = 64) {
+// A closed box: leaves that see each other at random, and nothing else; finishByHand() is still to come.
+LocalMatrix unfinishedBox(uint32_t leaves, float albedo, uint64_t seed, uint32_t entries = 64) {
   std::mt19937_64 random(seed);
   LocalMatrix m;
   constexpr uint32_t quanta = 4096;
@@ -37,6 +37,12 @@ LocalMatrix closedBox(uint32_t leaves, float albedo, uint64_t seed, uint32_t ent
     m.row_start.push_back(static_cast<uint32_t>(m.entries.size()));
   }
   m.refined_level_start.push_back(0);
+  return m;
+}
+
+LocalMatrix closedBox(uint32_t leaves, float albedo, uint64_t seed, uint32_t entries = 64) {
+  LocalMatrix m = unfinishedBox(leaves, albedo, seed, entries);
+  finishByHand(m);
   return m;
 }
 
@@ -61,6 +67,12 @@ class Engine {
     vkDestroyCommandPool(context_.device(), pool_, nullptr);
   }
 
+  // A matrix made by hand and its light.
+  void takeUp(const LocalMatrix& matrix, std::span<const Vec4> source) {
+    slots = matrix.slots();
+    if (auto taken = setMatrix(solver_, matrix); !taken) throw std::runtime_error(taken.error().line());
+    if (auto lit = solver_.setSource(source); !lit) throw std::runtime_error(lit.error().line());
+  }
   // Waits for the frame that was recorded kInFlight frames ago: before the solver is told anything of the next one.
   void begin() { EXPECT_TRUE(context_.wait(submission_[frame_ % kInFlight])); }
   void record(int iterations = 1) {
@@ -218,14 +230,11 @@ TEST_F(VkDenseStep, KeepsItsNodesWhenSlotsAreGivenOutAnew) {
 
 // A staging region has room for the largest block there may be: the second block here does not fit beside the first.
 TEST_F(VkDenseStep, BlocksThatDoNotFitIntoAFrameEnterInTheNext) {
-  LocalMatrix m = closedBox(128, 0.9f, 1, 512);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(128, 0.9f, 1, 512);
   const std::vector<Vec4> source = randomSource(m, 2);
   const auto solver = make({.places = 128});
   Engine engine(*context_, *solver);
-  engine.slots = m.slots();
-  ASSERT_TRUE(setMatrix(*solver, m));
-  ASSERT_TRUE(solver->setSource(source));
+  engine.takeUp(m, source);
   engine.frames(1);
   EXPECT_EQ(solver->dense()->on_places, 64u);
   EXPECT_EQ(solver->dense()->waiting, 64u);
@@ -269,17 +278,14 @@ TEST_F(VkDenseStep, WithMoreLeavesThanPlacesItConvergesFasterThanGather) {
 }
 
 TEST_F(VkDenseStep, AClosedBoxIsLitAtOnceWhereGatherTakesLong) {
-  LocalMatrix m = closedBox(200, 0.9f, 1);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(200, 0.9f, 1);
   const std::vector<Vec4> source = randomSource(m, 2), truth = converged(m, source);
   for (const bool dense : {false, true}) {
     auto gather = makeVulkanRecorder(context_, kSmallRoom);
     ASSERT_TRUE(gather);
     const auto solver = dense ? make({.places = 200}) : std::move(*gather);
     Engine engine(*context_, *solver);
-    engine.slots = m.slots();
-    ASSERT_TRUE(setMatrix(*solver, m));
-    ASSERT_TRUE(solver->setSource(randomSource(m, 1)));
+    engine.takeUp(m, randomSource(m, 1));
     engine.frames(4);
     engine.begin();
     ASSERT_TRUE(solver->setSource(source));
@@ -293,13 +299,10 @@ TEST_F(VkDenseStep, AClosedBoxIsLitAtOnceWhereGatherTakesLong) {
 
 // The caller's shaders may write M: no call tells of it.
 TEST_F(VkDenseStep, ALightThatFlickersInTheSourceBufferIsNoDrift) {
-  LocalMatrix m = closedBox(150, 0.9f, 1);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(150, 0.9f, 1);
   const auto solver = make({.places = 150});
   Engine engine(*context_, *solver);
-  engine.slots = m.slots();
-  ASSERT_TRUE(setMatrix(*solver, m));
-  ASSERT_TRUE(solver->setSource(randomSource(m, 1)));
+  engine.takeUp(m, randomSource(m, 1));
   engine.frames(4);
   for (int frame = 0; frame < 24; ++frame) {
     const float bright = frame % 5 == 0 ? 1.0f : frame % 5 == 2 ? 1.03f : 8.0f;  // each step brings more than the last
@@ -315,7 +318,7 @@ TEST_F(VkDenseStep, ALightThatFlickersInTheSourceBufferIsNoDrift) {
 
 // Two leaves that see only each other, twice over: I - S C is singular in red, of which there is none.
 TEST_F(VkDenseStep, ARefusedBlockIsTakenBackAndItsNodesAreLeftToTheSparseRows) {
-  LocalMatrix m = closedBox(300, 0.6f, 4);
+  LocalMatrix m = unfinishedBox(300, 0.6f, 4);
   for (const uint32_t s : {0u, 1u}) {
     m.albedo[s] = {0.5f, 0.3f, 0.1f, 0};
     for (uint32_t e = 0; e < 64; ++e) m.entries[64 * s + e] = (1 - s) << 16 | 128;
@@ -326,9 +329,7 @@ TEST_F(VkDenseStep, ARefusedBlockIsTakenBackAndItsNodesAreLeftToTheSparseRows) {
   const std::vector<Vec4> truth = converged(m, source);
   const auto solver = make({.places = 300});
   Engine engine(*context_, *solver);
-  engine.slots = m.slots();
-  ASSERT_TRUE(setMatrix(*solver, m));
-  ASSERT_TRUE(solver->setSource(source));
+  engine.takeUp(m, source);
   double before = 1;
   for (int frame = 0; frame < 40; ++frame) {
     engine.frames(1);
@@ -346,14 +347,11 @@ TEST_F(VkDenseStep, ARefusedBlockIsTakenBackAndItsNodesAreLeftToTheSparseRows) {
 }
 
 TEST_F(VkDenseStep, AMatrixThatGoesWrongIsBuiltAnew) {
-  LocalMatrix m = closedBox(300, 0.8f, 5);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(300, 0.8f, 5);
   const std::vector<Vec4> source = randomSource(m, 2), truth = converged(m, source);
   const auto solver = make({.places = 300});
   Engine engine(*context_, *solver);
-  engine.slots = m.slots();
-  ASSERT_TRUE(setMatrix(*solver, m));
-  ASSERT_TRUE(solver->setSource(source));
+  engine.takeUp(m, source);
   engine.frames(6);
   EXPECT_LE(differenceOf(m, engine.radiosity(), truth), kRounding);
   const std::pair<float, const char*> faults[] = {{0.2f, "made the error grow"},
@@ -381,17 +379,14 @@ TEST_F(VkDenseStep, AMatrixThatGoesWrongIsBuiltAnew) {
 
 // What is too small to make light wrong, or errors grow, only slows the steps down: only random vectors find that.
 TEST_F(VkDenseStep, TheProbeFindsDriftThatTheLightDoesNotShow) {
-  LocalMatrix m = closedBox(300, 0.8f, 5);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(300, 0.8f, 5);
   const std::vector<Vec4> source = randomSource(m, 2);
   constexpr int kRound = 16 * Engine::kInFlight;  // frames
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     const double healthy = storage == Storage::kFloat32 ? 1e-5 : 5e-3;
     const auto solver = make({.places = 300, .storage = storage});
     Engine engine(*context_, *solver);
-    engine.slots = m.slots();
-    ASSERT_TRUE(setMatrix(*solver, m));
-    ASSERT_TRUE(solver->setSource(source));
+    engine.takeUp(m, source);
     engine.frames(2 * kRound);
     EXPECT_GT(solver->dense()->probe, 0);
     EXPECT_LT(solver->dense()->probe, healthy);
@@ -457,14 +452,11 @@ TEST_F(VkDenseStep, NodesThatCannotLeaveSpoilTheMatrixAndNothingElse) {
 }
 
 TEST_F(VkDenseStep, LightThatWasNotFiniteDoesNotStay) {
-  LocalMatrix m = closedBox(150, 0.8f, 5);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(150, 0.8f, 5);
   const std::vector<Vec4> source = randomSource(m, 2), truth = converged(m, source);
   const auto solver = make({.places = 150});
   Engine engine(*context_, *solver);
-  engine.slots = m.slots();
-  ASSERT_TRUE(setMatrix(*solver, m));
-  ASSERT_TRUE(solver->setSource(source));
+  engine.takeUp(m, source);
   engine.frames(5);
   std::vector<Vec4> broken = source;
   broken[17].z = NAN;
@@ -481,8 +473,7 @@ TEST_F(VkDenseStep, LightThatWasNotFiniteDoesNotStay) {
 }
 
 TEST_F(VkDenseStep, ALostDeviceHandsOverToTheCpu) {
-  LocalMatrix m = closedBox(150, 0.8f, 5);
-  finishByHand(m);
+  const LocalMatrix m = closedBox(150, 0.8f, 5);
   const std::vector<Vec4> source = randomSource(m, 2), truth = converged(m, source);
   const auto solver = makeFallbackSolver(make({.places = 150}), makeCpuGather(1));
   ASSERT_TRUE(setMatrix(*solver, m));
