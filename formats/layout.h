@@ -91,6 +91,21 @@ struct LevelInfo {
 // A row may take up to a quarter more quanta than were asked for: bake/row_sampling.h says why.
 inline constexpr uint32_t mostQuanta(uint32_t asked) { return asked + asked / 4 < kMaxQuanta ? asked + asked / 4 : kMaxQuanta; }
 
+// A light of the source file that is no surface (glTF's KHR_lights_punctual), in world space. Its light is direct light, an
+// input at run time: the rows do not hold it.
+struct Light {
+  enum Kind : uint8_t { kDirectional = 0, kPoint = 1, kSpot = 2 };
+  std::string name;
+  uint8_t kind = kPoint;
+  Vec3 color_intensity;          // linear RGB >= 0: irradiance in W/m2 of a directional light, else radiant intensity in W/sr
+  Vec3 position;                 // m; not of a directional light
+  Vec3 direction;                // unit, the way the light goes; zero for a point light
+  float range_m = 0;             // 0: without end
+  float inner_angle = 0;         // of a spot, radians from its direction: full light within `inner_angle`, none beyond
+  float outer_angle = 0;         // `outer_angle`; 0 <= inner < outer <= pi / 2
+  friend bool operator==(const Light&, const Light&) = default;
+};
+
 // What the baker was told and what it measured; the head of the manifest.
 struct WorldInfo {
   float cell_m = 1;              // patch size
@@ -106,6 +121,7 @@ struct WorldInfo {
   double area_m2 = 0;
   uint64_t triangles = 0;
   double absorbed_fraction = 0;  // area-weighted: leak diagnostic
+  std::vector<Light> lights;     // of the source file
 };
 
 }  // namespace ff::formats

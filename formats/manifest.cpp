@@ -28,7 +28,7 @@ struct Section {
 };
 
 // The known sections by kind; unknown optional ones are dropped.
-using Sections = std::array<std::optional<Section>, kSectionGrid + 1>;
+using Sections = std::array<std::optional<Section>, kSectionLast + 1>;
 
 Result<Sections> readSections(std::span<const std::byte> file) {
   if (file.size() < kManifestHeaderBytes) return broken(0, "is too short for a manifest");
@@ -61,7 +61,7 @@ Result<Sections> readSections(std::span<const std::byte> file) {
     if (r.reservedUsed()) return broken(at, "uses a reserved byte of the section table");
     if (s.offset != end || s.stored_bytes > file.size() - end) return broken(at, "section lies outside the file");
     end += s.stored_bytes;
-    if ((s.kind == 0 || s.kind > kSectionGrid) && (s.kind & kSectionOptional) == 0)
+    if ((s.kind == 0 || s.kind == 6 || s.kind > kSectionLast) && (s.kind & kSectionOptional) == 0)
       return Error{ErrorCode::kInvalidFile, "", "offset " + std::to_string(at),
                    "has a section of unknown kind " + std::to_string(s.kind), "use a newer Formfield"};
     const auto bytes = file.subspan(s.offset, s.stored_bytes);
@@ -83,6 +83,8 @@ Result<void> finished(const ByteReader& r, const Section& s) {
   if (r.reservedUsed()) return broken(s.record.offset, "section uses a reserved byte");
   return {};
 }
+
+constexpr float kWidestSpot = 1.5707964f;  // pi / 2
 
 bool finite(Vec3 v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
 
@@ -108,6 +110,26 @@ Result<void> readLevels(const Section& s, std::vector<LevelInfo>& levels) {
     if (level.nodes < 1 || level.tiles < 1 || level.tiles > level.nodes || !(level.cell_m > 0) ||
         !std::isfinite(level.cell_m))
       return broken(s.record.offset, "level holds a value that cannot be");
+  }
+  return finished(r, s);
+}
+
+Result<void> readLights(const Section& s, std::vector<Light>& lights) {
+  ByteReader r(s.bytes);
+  while (r.ok() && r.remaining() > 0) {
+    const uint64_t at = s.record.offset + r.position();
+    Light& light = lights.emplace_back();
+    LightRecord::fields(r, light);
+    if (!r.ok()) break;
+    const Vec3& c = light.color_intensity;
+    const float direction = light.kind == Light::kPoint ? 0.0f : 1.0f;
+    const bool cone = light.kind != Light::kSpot ? light.inner_angle == 0 && light.outer_angle == 0
+                                                 : light.inner_angle >= 0 && light.inner_angle < light.outer_angle &&
+                                                       light.outer_angle <= kWidestSpot;
+    if (light.kind > Light::kSpot || !finite(c) || !(c.x >= 0 && c.y >= 0 && c.z >= 0) || !finite(light.position) ||
+        !(std::fabs(length(light.direction) - direction) <= 1e-3f) || !(light.range_m >= 0) ||
+        !std::isfinite(light.range_m) || !cone)
+      return broken(at, "light holds a value that cannot be");
   }
   return finished(r, s);
 }
@@ -187,6 +209,8 @@ Result<Manifest> parseManifest(std::span<const std::byte> bytes) {
   if (auto ok = readParents(*(*sections)[kSectionParents], m.levels, m.parents); !ok) return ok.error();
   if ((*sections)[kSectionGrid])
     if (auto ok = readGrid(*(*sections)[kSectionGrid], m.grid, m.grid_bytes); !ok) return ok.error();
+  if ((*sections)[kSectionLights])
+    if (auto ok = readLights(*(*sections)[kSectionLights], m.info.lights); !ok) return ok.error();
   return m;
 }
 

@@ -239,6 +239,11 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
     if (!grid) return grid.error();
     sections.push_back({kSectionGrid, spatial_grid.size(), std::move(*grid)});
   }
+  if (!info.lights.empty()) {
+    ByteWriter light_bytes;
+    for (const Light& light : info.lights) LightRecord::fields(light_bytes, light);
+    addSection(kSectionLights, light_bytes);
+  }
   // What we are about to promise must be readable: the same checks as the reader's, before any name changes.
   const std::vector<std::byte> manifest = manifestBytes(sections);
   if (auto parsed = parseManifest(manifest); !parsed) return parsed.error();

@@ -39,6 +39,32 @@ double pyramidRatio(const World& world) {
   return ratio(all, static_cast<double>(world.levels()[0].stored_bytes));
 }
 
+constexpr const char* kLightKinds[] = {"directional", "point", "spot"};
+
+json lightJson(const Light& light) {
+  json j = {{"name", light.name},
+            {"kind", kLightKinds[light.kind]},
+            {"color_intensity", toJson(light.color_intensity)},
+            {"range_m", light.range_m}};
+  if (light.kind != Light::kDirectional) j["position"] = toJson(light.position);
+  if (light.kind != Light::kPoint) j["direction"] = toJson(light.direction);
+  if (light.kind == Light::kSpot) j["inner_angle"] = light.inner_angle, j["outer_angle"] = light.outer_angle;
+  return j;
+}
+
+void printLights(std::span<const Light> lights, std::FILE* to) {
+  for (const Light& l : lights) {
+    const Vec3 c = l.color_intensity, p = l.position, d = l.direction;
+    fmt::print(to, "light        \"{}\": {}, {:g} {:g} {:g} {}", l.name, kLightKinds[l.kind], c.x, c.y, c.z,
+               l.kind == Light::kDirectional ? "W/m2" : "W/sr");
+    if (l.kind != Light::kDirectional) fmt::print(to, ", at {:g} {:g} {:g}", p.x, p.y, p.z);
+    if (l.kind != Light::kPoint) fmt::print(to, ", towards {:g} {:g} {:g}", d.x, d.y, d.z);
+    if (l.kind == Light::kSpot) fmt::print(to, ", cone {:g} to {:g} rad", l.inner_angle, l.outer_angle);
+    if (l.range_m > 0) fmt::print(to, ", within {:g} m", l.range_m);
+    fmt::print(to, "\n");
+  }
+}
+
 void printLevels(const World& world, std::FILE* to) {
   fmt::print(to, "{:>5} {:>10} {:>7} {:>12} {:>8} {:>13} {:>10} {:>8}\n", "level", "nodes", "tiles", "entries", "per row",
              "stored_bytes", "per node", "cell_m");
@@ -60,6 +86,8 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
     for (uint32_t l = 0; l < world.levels().size(); ++l) levels.push_back(levelJson(world, l));
     for (const ShardInfo& s : world.shards())
       shards.push_back({{"name", s.name}, {"bytes", s.bytes}, {"geometry", s.geometry}});
+    json lights = json::array();
+    for (const Light& light : info.lights) lights.push_back(lightJson(light));
     fmt::print(out.to, "{}\n",
                json{{"path", world.path()},
                     {"generator", info.generator},
@@ -77,6 +105,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"absorbed_fraction", info.absorbed_fraction},
                     {"pyramid_over_level0", pyramidRatio(world)},
                     {"spatial_grid_bytes", world.spatialGrid().size()},
+                    {"lights", lights},
                     {"levels", levels},
                     {"shards", shards}}
                    .dump());
@@ -92,6 +121,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
              info.seed);
   fmt::print(out.to, "measured     absorbed {:.4f} %, row totals within {:.2f} %\n", 100 * info.absorbed_fraction,
              100 * static_cast<double>(info.row_total_deviation));
+  printLights(info.lights, out.to);
   fmt::print(out.to, "files        {} shards, rows {} bytes, geometry {} bytes, spatial grid {} bytes in memory\n\n",
              world.shards().size(), shardBytes(world, false), shardBytes(world, true), world.spatialGrid().size());
   printLevels(world, out.to);

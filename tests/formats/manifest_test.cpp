@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <functional>
+#include <limits>
 
 #include "formats/checksum.h"
 #include "formats/manifest.h"
@@ -196,6 +197,44 @@ TEST(ManifestRules, WorldInformationIsComplete) {
   OpenManifest n;
   storeLittle(n.part(kSectionInfo).bytes.data(), 0x7fc00000u);  // cell_m: NaN
   expectRefused("cannot be", n.seal());
+}
+
+TEST(ManifestRules, LightsCanBe) {
+  const Light spot{"s", Light::kSpot, {1, 1, 1}, {0, 3, 0}, {0, -1, 0}, 5, 0.2f, 0.4f};
+  const auto sealed = [](const Light& light) {
+    OpenManifest m;
+    ByteWriter w;
+    LightRecord::fields(w, light);
+    OpenManifest::Part part;
+    part.record.kind = kSectionLights;
+    part.bytes = w.data();
+    m.parts.push_back(part);
+    return m.seal();
+  };
+  const auto good = parseManifest(sealed(spot));
+  ASSERT_TRUE(good) << good.error().line();
+  EXPECT_EQ(good->info.lights, std::vector{spot});
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (const auto& damage : std::vector<std::function<void(Light&)>>{
+           [](Light& l) { l.kind = 3; }, [](Light& l) { l.color_intensity.y = -1; },
+           [&](Light& l) { l.color_intensity.z = nan; }, [&](Light& l) { l.position.x = nan; },
+           [](Light& l) { l.direction = {}; }, [](Light& l) { l.direction = {0, -2, 0}; },
+           [](Light& l) { l.kind = Light::kPoint; }, [](Light& l) { l.range_m = -1; },
+           [&](Light& l) { l.range_m = std::numeric_limits<float>::infinity(); }, [](Light& l) { l.inner_angle = 0.4f; },
+           [](Light& l) { l.inner_angle = -0.1f; }, [](Light& l) { l.outer_angle = 1.6f; },
+           [&](Light& l) { l.outer_angle = nan; }, [](Light& l) { l.kind = Light::kDirectional; }}) {
+    Light light = spot;
+    damage(light);
+    expectRefused("light holds a value that cannot be", sealed(light));
+  }
+}
+
+TEST(ManifestRules, AWorldWithoutLightsHasNoSectionOfThem) {
+  OpenManifest m;
+  for (const auto& part : m.parts) EXPECT_NE(part.record.kind, kSectionLights);
+  const auto parsed = parseManifest(m.seal());
+  ASSERT_TRUE(parsed);
+  EXPECT_TRUE(parsed->info.lights.empty());
 }
 
 }  // namespace

@@ -137,6 +137,9 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
   w.info.area_m2 = 1234.5;
   w.info.triangles = 42;
   w.info.absorbed_fraction = 0.0625;
+  w.info.lights = {{"sun", Light::kDirectional, {3, 2, 1}, {}, {0, -1, 0}, 0, 0, 0},
+                   {"bulb", Light::kPoint, {10, 0, 0.5f}, {1, 2, 3}, {}, 4, 0, 0},
+                   {"", Light::kSpot, {1, 1, 1}, {-1, 0, 7}, {0.6f, 0, 0.8f}, 0, 0.25f, 0.5f}};
   for (int i = 0; i < 1000; ++i) w.grid.push_back(static_cast<std::byte>(below(random, 3)));
   return w;
 }

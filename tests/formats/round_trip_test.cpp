@@ -41,6 +41,7 @@ void expectSameNode(const Node& read, const Node& written, const Box& bounds) {
 }
 
 void expectSameWorld(const World& read, const RandomWorld& w) {
+  ASSERT_EQ(read.info().lights, w.info.lights);
   ASSERT_EQ(read.levels().size(), w.strips.size());
   for (uint32_t level = 0; level < w.strips.size(); ++level) {
     ASSERT_EQ(read.tiles(level).size(), w.strips[level].size());

@@ -145,6 +145,18 @@ TEST_F(Inspect, FindsAPyramidThatDoesNotAddUp) {
   EXPECT_NE(run.text.find("node 129: emission"), std::string::npos) << run.text;
 }
 
+TEST_F(Inspect, ListsTheLightsOfTheFile) {
+  RandomWorld w = makeFurnaceWorld(300);
+  w.info.lights = {{"bulb", Light::kPoint, {10, 0, 0.5f}, {1, 2, 3}, {}, 4, 0, 0}};
+  write(w);
+  EXPECT_NE(inspect("info " + world()).text.find("\"bulb\": point, 10 0 0.5 W/sr, at 1 2 3, within 4 m"), std::string::npos);
+  const auto lights = nlohmann::json::parse(inspect("info --json " + world()).text)["lights"];
+  ASSERT_EQ(lights.size(), 1u);
+  EXPECT_EQ(lights[0]["name"], "bulb");
+  EXPECT_EQ(lights[0]["kind"], "point");
+  EXPECT_EQ(lights[0]["range_m"], 4);
+}
+
 TEST_F(Inspect, PrintsJsonThatParses) {
   for (const char* command : {"info %", "stats %", "verify %", "row % 0 299", "row % 1 3", "tile % 0 1", "pair % 1 3 3",
                               "locate % 1 2 3", "locate % -5 2 3"}) {
