@@ -10,6 +10,7 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -101,9 +102,41 @@ struct Sampling {
   uint64_t clamped = 0;
 };
 
+// Appends what a row gets of each lamp group, relative to the group's emission.
+void addLamps(const ExchangeRow& row, float area_m2, std::span<const NodeValues> values,
+              std::span<const formats::LampGroup> groups, uint8_t number, std::vector<formats::LampLight>& lamps) {
+  std::map<uint16_t, std::array<double, 3>> light;  // W
+  for (size_t k = 0; k < row.column.size(); ++k) {
+    const formats::Node& lamp = values[row.column[k]].node;
+    if (lamp.lamp_group == formats::kNoLampGroup) continue;
+    for (int c = 0; c < 3; ++c) light[lamp.lamp_group][static_cast<size_t>(c)] += row.area_m2[k] * static_cast<double>(lamp.emission[c]);
+  }
+  for (const auto& [group, power] : light) {
+    formats::LampLight& lamp = lamps.emplace_back(formats::LampLight{number, group, {}});
+    for (int c = 0; c < 3; ++c)
+      if (const float whole = groups[group].emission[c] * area_m2; whole > 0)
+        lamp.weight[c] = std::min(1.0f, static_cast<float>(power[static_cast<size_t>(c)] / static_cast<double>(whole)));
+  }
+}
+
+// The groups as the world lists them.
+std::vector<formats::LampGroup> describeLamps(const LampGroups& groups, std::span<const Patch> patches) {
+  std::vector<formats::LampGroup> described;
+  for (const std::string& name : groups.name) described.push_back({name, {}, 0, 0});
+  for (const Patch& patch : patches) {
+    if (!patch.emits()) continue;
+    formats::LampGroup& group = described[patch.lamp_group];
+    group.emission = ff::max(group.emission, patch.emission);
+    group.area_m2 += static_cast<double>(patch.area_m2);
+    ++group.patches;
+  }
+  return described;
+}
+
 // The rows of one tile, sampled and laid out as a strip.
 formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeLevel& exchange,
-                         std::span<const NodeValues> values, const BakeSettings& s, Sampling& sampling) {
+                         std::span<const NodeValues> values, std::span<const formats::LampGroup> lamp_groups,
+                         const BakeSettings& s, Sampling& sampling) {
   const auto& tiles = h.tile_start[id.level];
   formats::Strip strip;
   strip.id = id;
@@ -115,22 +148,23 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   };
   std::vector<Entry> entries;
   const uint32_t quanta = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
-  std::vector<uint8_t> shines(values.size());
-  for (size_t i = 0; i < values.size(); ++i) shines[i] = !(values[i].node.emission == Vec3{});
   ExchangeRow row;
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
-    const uint32_t own_quanta = quantaFor(row, quanta, shines);
-    sampleRow(row, exchange.area(n), own_quanta, offset, sampled, shines);
+    sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     formats::Node node = values[n].node;
-    node.quanta = own_quanta;
+    node.quanta = quanta;
     node.sky = sampled.sky;
     node.absorbed = sampled.absorbed;
-    node.sky_direction = row.sky_direction;
-    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(own_quanta);
+    node.row_total = static_cast<float>(sampled.total);
+    node.sky_fraction = std::min(1.0f, static_cast<float>(row.sky_m2) / exchange.area(n));
+    node.sky_direction = row.sky_means.direction;
+    node.sky_quadratic = row.sky_means.quadratic;
+    addLamps(row, exchange.area(n), values, lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
+    const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
     const float most = seen > 0 ? kMostReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
     node.albedo = ff::min(node.albedo, {most, most, most});
@@ -251,6 +285,8 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
     }
   }
 
+  const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set->patches);
+
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
   double deviation = 0;
   stats.levels.resize(hierarchy.levels());
@@ -269,7 +305,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
         std::vector<Sampling> sampling(count);
         tbb::parallel_for(0u, count, [&](uint32_t k) {
           const formats::Strip strip =
-              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], settings, sampling[k]);
+              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], lamp_groups, settings, sampling[k]);
           Box bounds;
           for (size_t i = 0; i < strip.nodes.size(); ++i) bounds.add(values[l][strip.first_node + i].bounds);
           encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds));
@@ -328,6 +364,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   info.area_m2 = stats.area_m2;
   info.triangles = scene.triangles.size();
   info.absorbed_fraction = stats.absorbed_fraction;
+  info.lamp_groups = lamp_groups;
   if (auto ok = writer->finish(info, hierarchy.parents, cells, buildSpatialIndex(cell_tiles, set->cell_m)); !ok)
     return ok.error();
   stats.seconds = since(began);

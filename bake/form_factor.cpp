@@ -32,7 +32,7 @@ bool isBuried(const RayCaster& caster, Vec3 origin, Vec3 normal) {
 }
 
 uint32_t raysOfLamps(const PatchSet& set, uint32_t rays) {
-  const auto lamps = static_cast<size_t>(std::count_if(set.patches.begin(), set.patches.end(), [](const Patch& p) { return p.shines; }));
+  const auto lamps = static_cast<size_t>(std::count_if(set.patches.begin(), set.patches.end(), [](const Patch& p) { return p.emits(); }));
   const size_t times = lamps > 0 ? 1 + set.patches.size() / (4 * lamps) : 1;
   return std::min(65535u, rays * static_cast<uint32_t>(std::min<size_t>(times, kMostLampRays)));
 }
@@ -86,12 +86,12 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   const SobolTable sobol(lamp_rays);
   HitRows rows;
   rows.rays.resize(n);
-  for (size_t i = 0; i < n; ++i) rows.rays[i] = set.patches[i].shines ? lamp_rays : rays;
+  for (size_t i = 0; i < n; ++i) rows.rays[i] = set.patches[i].emits() ? lamp_rays : rays;
   rows.start.assign(n + 1, 0);
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
   rows.buried.assign(n, 0);
-  rows.sky_direction.assign(n, {});
+  rows.sky_means.assign(n, {});
   rows.narrow.assign(n, 0);
   std::vector<Chunk> parts(chunks);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
@@ -102,14 +102,14 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
     for (size_t i = c * kChunk; i < std::min(n, (c + 1) * kChunk); ++i) {
       const std::span<Ray> cast(s.rays.data(), rows.rays[i]);
       patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), cast, s.normals);
-      Vec3 sky_sum;
+      SkySums sky;
       std::array<uint32_t, kNarrowCells.size()> near{};
       for (size_t k = 0; k < cast.size(); ++k) {
         const Ray& ray = cast[k];
         const Hit hit = caster.nearest(ray);
         if (hit.triangle == kNone) {
           ++rows.sky[i];
-          sky_sum += ray.direction;
+          sky.add(ray.direction, 1);
           continue;
         }
         const float cells = length(hit.point - ray.origin) / set.cell_m;
@@ -124,7 +124,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
         }
       }
       for (const uint32_t hits : near) if (hits > kMostRays * rows.rays[i]) ++rows.narrow[i];
-      if (rows.sky[i] > 0) rows.sky_direction[i] = sky_sum / static_cast<float>(rows.sky[i]);
+      rows.sky_means[i] = sky.means();
       std::sort(s.touched.begin(), s.touched.end());
       for (uint32_t j : s.touched) {
         parts[c].column.push_back(j);
@@ -158,7 +158,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
   out.sky.resize(n);
   out.absorbed.resize(n);
   out.buried.resize(n);
-  out.sky_direction.resize(n);
+  out.sky_means.resize(n);
   for (size_t i = 0; i < n; ++i) out.start[i + 1] = out.start[i] + in.start[old[i] + 1] - in.start[old[i]];
   out.column.resize(in.column.size());
   out.count.resize(in.count.size());
@@ -170,7 +170,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
       out.sky[i] = in.sky[p];
       out.absorbed[i] = in.absorbed[p];
       out.buried[i] = in.buried[p];
-      out.sky_direction[i] = in.sky_direction[p];
+      out.sky_means[i] = in.sky_means[p];
       row.clear();
       for (uint64_t k = in.start[p]; k < in.start[p + 1]; ++k) row.emplace_back(number[in.column[k]], in.count[k]);
       std::sort(row.begin(), row.end());

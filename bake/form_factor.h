@@ -29,6 +29,39 @@ inline constexpr double kMostRays = 0.6;
 // than a quarter of the patches' rays. What a patch gets of a lamp is then known from the lamp's end.
 inline constexpr uint32_t kMostLampRays = 8;
 
+// What a patch sees of the sky, on average: formats::Node says what for.
+struct SkyMeans {
+  Vec3 direction;
+  std::array<float, 5> quadratic{};
+};
+
+// Sums of weighted directions; means() divides by the sum of the weights.
+class SkySums {
+ public:
+  void add(Vec3 direction, double weight) {
+    const auto x = static_cast<double>(direction.x), y = static_cast<double>(direction.y), z = static_cast<double>(direction.z);
+    const double terms[8] = {x, y, z, 2 * x * y, 2 * y * z, 2 * z * x, (3 * y * y - 1) / 2, x * x - z * z};
+    weight_ += weight;
+    for (size_t k = 0; k < 8; ++k) sums_[k] += weight * terms[k];
+  }
+  void add(const SkyMeans& means, double weight) {
+    weight_ += weight;
+    for (size_t k = 0; k < 3; ++k) sums_[k] += weight * static_cast<double>(means.direction[static_cast<int>(k)]);
+    for (size_t k = 0; k < 5; ++k) sums_[3 + k] += weight * static_cast<double>(means.quadratic[k]);
+  }
+  double weight() const { return weight_; }
+  SkyMeans means() const {
+    SkyMeans m;
+    if (!(weight_ > 0)) return m;
+    for (size_t k = 0; k < 3; ++k) m.direction[static_cast<int>(k)] = static_cast<float>(sums_[k] / weight_);
+    for (size_t k = 0; k < 5; ++k) m.quadratic[k] = static_cast<float>(sums_[3 + k] / weight_);
+    return m;
+  }
+
+ private:
+  double weight_ = 0, sums_[8] = {};
+};
+
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
 struct HitRows {
   std::vector<uint32_t> rays;      // per patch
@@ -36,7 +69,7 @@ struct HitRows {
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
-  std::vector<Vec3> sky_direction;       // per patch: mean over its sky rays
+  std::vector<SkyMeans> sky_means;       // per patch, over its sky rays
   std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to; left behind by renumber()
 };
 

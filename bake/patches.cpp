@@ -55,7 +55,7 @@ struct UnionFind {
 
 constexpr double kTouch = 2e-3;  // cells
 
-// Labels the pieces of one cell, orientation and shine: pieces that share a corner, or one of whose corners lies on another's
+// Labels the pieces of one cell, orientation and lamp group: pieces that share a corner, or one of whose corners lies on another's
 // border (T-junctions), get one label.
 UnionFind connect(const std::vector<const Polygon*>& pieces, const std::vector<Cell>& cells) {
   UnionFind sets(pieces.size());
@@ -85,7 +85,7 @@ UnionFind connect(const std::vector<const Polygon*>& pieces, const std::vector<C
 class PatchBuilder {
  public:
   PatchBuilder(const Scene& scene, const PatchSettings& settings, const RayCaster* caster)
-      : scene_(scene), settings_(settings), caster_(caster) {}
+      : scene_(scene), settings_(settings), caster_(caster), lamps_(groupLamps(scene)) {}
 
   Result<PatchSet> build() {
     const float s = settings_.cell_m;
@@ -115,9 +115,10 @@ class PatchBuilder {
     uint32_t orientation;
     uint32_t piece;
     uint32_t back;  // 1: the back of a double-sided piece
-    bool shines;
+    uint16_t lamp_group;
     Enclosure enclosure;
-    auto place() const { return std::tuple(key, orientation, shines); }
+    // What emits nothing comes first.
+    auto place() const { return std::tuple(key, orientation, static_cast<uint16_t>(lamp_group + 1)); }
     // Sides of one group may share a patch.
     auto group() const { return std::tuple_cat(place(), std::tuple(enclosure)); }
     friend bool operator<(const Side& a, const Side& b) {
@@ -160,10 +161,10 @@ class PatchBuilder {
       const uint64_t key = hilbertKey(pieces_[i].cell);
       const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
       const Material& material = scene_.materials[scene_.triangles[pieces_[i].triangle].material];
-      const bool shines = !(material.emission == Vec3{});
+      const uint16_t lamp_group = lamps_.of_material[scene_.triangles[pieces_[i].triangle].material];
       for (uint32_t back = 0; back < (material.double_sided ? 2 : 1); ++back)
         if (pieces_[i].enclosure[back] != Enclosure::kPocket)
-          sides_.push_back({key, o ^ back, i, back, shines, pieces_[i].enclosure[back]});
+          sides_.push_back({key, o ^ back, i, back, lamp_group, pieces_[i].enclosure[back]});
     }
     tbb::parallel_sort(sides_.begin(), sides_.end());
     for (size_t begin = 0, end; begin < sides_.size(); begin = end) {
@@ -286,7 +287,7 @@ class PatchBuilder {
         patch.cell = pieces_[side.piece].cell;
         patch.key = side.key;
         patch.orientation = side.orientation;
-        patch.shines = side.shines;
+        patch.lamp_group = side.lamp_group;
         patch.enclosure = side.enclosure;
       }
       patch.triangles = triangles - patch.first_triangle;
@@ -348,6 +349,7 @@ class PatchBuilder {
   const Scene& scene_;
   const PatchSettings& settings_;
   const RayCaster* caster_;
+  const LampGroups lamps_;
   double eps_ = 1e-4;  // cells
   std::vector<Piece> pieces_;  // by triangle
   std::vector<Side> sides_;

@@ -1,5 +1,5 @@
 // Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class, and
-// all shine or none, all are as much enclosed. A thin wall's two sides, two floors in one cell, a lamp and its shade,
+// one lamp group or none, all as much enclosed. A thin wall's two sides, two floors in one cell, a lamp and its shade,
 // a wall and what of it is behind the skirting board are never one patch. Surface in a pocket (pieces.h), where no light gets
 // to, has none: the inside of closed tubes, of walls that are modelled from both sides. Crumbs (components under
 // `crumb_fraction` of a cell face) join the nearest patch of their cell and class. Double-sided surfaces get a patch a side.
@@ -9,8 +9,10 @@
 #include <vector>
 
 #include "bake/hilbert.h"
+#include "bake/lamp_groups.h"
 #include "bake/pieces.h"
 #include "bake/scene.h"
+#include "formats/layout.h"
 
 namespace ff::bake {
 
@@ -22,7 +24,9 @@ struct Patch {
   Cell cell{};
   uint64_t key = 0;         // hilbertKey(cell)
   uint32_t orientation = 0;
-  bool shines = false;      // its material emits; lamps and what holds them never share a patch or a cluster
+  uint16_t lamp_group = formats::kNoLampGroup;  // of its material, if that emits: emitters of two groups, or one and
+                                                // what holds it, never share a patch or a cluster
+  bool emits() const { return lamp_group != formats::kNoLampGroup; }
   Enclosure enclosure = Enclosure::kOpen;
   float area_m2 = 0;        // cutout holes are not counted
   Vec3 centroid, normal;    // m; area-weighted means
@@ -40,7 +44,7 @@ struct PatchTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, shines, enclosure, first piece)
+  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, enclosure, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
   float cell_m = 1;
   double area_m2 = 0, sealed_m2 = 0;     // of the patches; of what lies in pockets and has none

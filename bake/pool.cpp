@@ -41,7 +41,7 @@ void PooledPatches::row(uint32_t i, ExchangeRow& out) const {
   }
   out.sky_m2 = rows_.sky[i] / own;
   out.absorbed_m2 = rows_.absorbed[i] / own;
-  out.sky_direction = rows_.sky_direction[i];
+  out.sky_means = rows_.sky_means[i];
 }
 
 }  // namespace ff::bake

@@ -16,7 +16,7 @@ struct ExchangeRow {
   std::vector<uint32_t> column;
   std::vector<double> area_m2;
   double sky_m2 = 0, absorbed_m2 = 0;
-  Vec3 sky_direction;  // mean
+  SkyMeans sky_means;
 };
 
 // Exchange areas among the nodes of one level, by row.

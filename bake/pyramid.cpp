@@ -16,7 +16,7 @@ constexpr size_t kChunk = 64;  // cluster rows gathered by one task
 
 struct SortKey {
   uint64_t top;     // cell of the coarsest level
-  uint32_t group;   // orientation, openness and shine
+  uint32_t group;   // lamp group, orientation and openness
   uint64_t key;     // cell of the patch
   uint32_t patch;
   friend bool operator<(const SortKey& a, const SortKey& b) {
@@ -59,7 +59,8 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   std::vector<uint32_t> group(n);
   for (uint32_t i = 0; i < n; ++i) {
     const uint32_t open = openness(static_cast<double>(sky_fraction[i]), narrow.empty() ? 0 : narrow[i]);
-    group[i] = (patches[i].orientation * kOpennesses + open) * 2 + (patches[i].shines ? 1 : 0);
+    const uint32_t lamp = patches[i].emits() ? 1u + patches[i].lamp_group : 0u;
+    group[i] = (lamp * kOrientations + patches[i].orientation) * kOpennesses + open;
   }
   int top = 0;
   size_t count = n;
@@ -108,6 +109,7 @@ std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierar
     v.node.normal = patches[p].normal;
     v.node.albedo = patches[p].albedo;
     v.node.emission = patches[p].emission;
+    v.node.lamp_group = patches[p].lamp_group;
     v.bounds = patches[p].bounds;
   }
   if (hierarchy.levels() > 1)
@@ -139,6 +141,7 @@ std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, cons
     v.node.normal = normalized(mean(1));
     v.node.albedo = mean(2);
     v.node.emission = mean(3);
+    v.node.lamp_group = children[first].node.lamp_group;
     if (level + 1 < hierarchy.levels()) v.node.parent = hierarchy.parents[level][parents[first]];
     first = last;
   }
@@ -146,7 +149,7 @@ std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, cons
 }
 
 ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes)
-    : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_direction_(nodes) {
+    : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes) {
   std::vector<uint32_t> first(nodes + 1, static_cast<uint32_t>(parents.size()));  // first child
   for (size_t i = parents.size(); i-- > 0;) first[parents[i]] = static_cast<uint32_t>(i);
   struct Scratch {
@@ -162,7 +165,8 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
   tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
     Scratch& s = scratch.local();
     for (auto n = static_cast<uint32_t>(c * kChunk); n < std::min<size_t>(nodes, (c + 1) * kChunk); ++n) {
-      double area = 0, sky = 0, absorbed = 0, direction[3] = {};
+      double area = 0, absorbed = 0;
+      SkySums sky;
       for (uint32_t i = first[n]; i < first[n + 1]; ++i) {
         below.row(i, s.row);
         for (size_t k = 0; k < s.row.column.size(); ++k) {
@@ -174,9 +178,8 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
           s.exchange[j] += s.row.area_m2[k];
         }
         area += static_cast<double>(below.area(i));
-        sky += s.row.sky_m2;
+        sky.add(s.row.sky_means, s.row.sky_m2);
         absorbed += s.row.absorbed_m2;
-        for (int a = 0; a < 3; ++a) direction[a] += s.row.sky_m2 * static_cast<double>(s.row.sky_direction[a]);
       }
       std::sort(s.touched.begin(), s.touched.end());
       for (uint32_t j : s.touched) {
@@ -187,10 +190,9 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
       start_[n + 1] = s.touched.size();
       s.touched.clear();
       areas_[n] = static_cast<float>(area);
-      sky_m2_[n] = sky;
+      sky_m2_[n] = sky.weight();
+      sky_means_[n] = sky.means();
       absorbed_m2_[n] = absorbed;
-      if (sky > 0)
-        for (int a = 0; a < 3; ++a) sky_direction_[n][a] = static_cast<float>(direction[a] / sky);
     }
   });
   for (size_t n = 0; n < nodes; ++n) start_[n + 1] += start_[n];
@@ -211,7 +213,7 @@ void ClusterExchange::row(uint32_t node, ExchangeRow& out) const {
   out.area_m2.assign(exchange_m2_.begin() + a, exchange_m2_.begin() + b);
   out.sky_m2 = sky_m2_[node];
   out.absorbed_m2 = absorbed_m2_[node];
-  out.sky_direction = sky_direction_[node];
+  out.sky_means = sky_means_[node];
 }
 
 }  // namespace ff::bake

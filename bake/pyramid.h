@@ -1,7 +1,7 @@
 // The matrix pyramid. A node of level l + 1 gathers the nodes of level l that lie in the same 2x2x2 cells and have the same
 // orientation and openness class (interiors, exteriors and crevices must not mix, or the light of a wall seeps into the
-// dark behind it), and shine or do not (a lamp is seen where its
-// shade is not); areas add, exchange areas add.
+// dark behind it), and the same lamp group or none (a lamp is seen where its
+// shade is not, and is switched alone); areas add, exchange areas add.
 //
 // One order serves all levels: patches are sorted by (cell of the coarsest level, class, Hilbert key), so the descendants
 // of any node are consecutive at every level below it.
@@ -60,7 +60,7 @@ class ClusterExchange final : public ExchangeLevel {
   std::vector<uint32_t> column_;
   std::vector<float> exchange_m2_;
   std::vector<double> sky_m2_, absorbed_m2_;
-  std::vector<Vec3> sky_direction_;
+  std::vector<SkyMeans> sky_means_;
 };
 
 }  // namespace ff::bake

@@ -10,11 +10,12 @@
 
 namespace ff::formats {
 
-inline constexpr uint16_t kFormatVersion = 1;        // written, and the newest that this reader understands
+inline constexpr uint16_t kFormatVersion = 2;        // written, and the only one that this reader understands
 inline constexpr uint32_t kTileNodes = 256;          // nodes of a tile, at most: rows and columns are then one byte each
 inline constexpr uint32_t kMaxLevels = 16;
 inline constexpr uint32_t kMaxQuanta = 65535;        // counts are u16
 inline constexpr uint32_t kNoParent = 0xffffffffu;
+inline constexpr uint16_t kNoLampGroup = 0xffff;
 inline constexpr uint64_t kShardHeaderBytes = 4096;
 
 // A tile of one level. Level 0 holds the patches.
@@ -32,14 +33,29 @@ struct Node {
   Vec3 centroid;             // m
   Vec3 normal;               // unit area-weighted mean; zero where the pieces cancel
   Vec3 albedo;               // diffuse, 0..1, linear RGB
-  Vec3 emission;             // M, radiosity emitted, W/m2, linear RGB
+  Vec3 emission;             // M, radiosity emitted as baked, W/m2, linear RGB
+  uint16_t lamp_group = kNoLampGroup;  // whose switch scales the emission; nodes of two groups never share a parent
   uint32_t parent = kNoParent;  // node number at level + 1
   // The row's closure: sum of the entries' counts + sky + absorbed == quanta, exactly.
   uint32_t quanta = 0;       // Q
-  uint32_t sky = 0;          // quanta that reach the sky
+  uint32_t sky = 0;          // quanta that reach the sky: they close the row; its light is told by sky_fraction
   uint32_t absorbed = 0;     // quanta lost: back faces
-  Vec3 sky_direction;        // mean direction of the rays that reach the sky, length <= 1: a sky of radiance
-                             // L(w) = L0 + dot(L1, w) gives irradiance pi * sky/quanta * (L0 + dot(L1, sky_direction))
+  float row_total = 1;       // the row's sum before it was scaled to its quanta: A_i row_total_i count/quanta is the
+                             // exchange area with a column, and equal from both its ends but for sampling
+  // The sky as a source of light, with the precision of all rays. A sky of radiance
+  //   L(w) = l0 + dot(l1, w) + sum of l2[k] P_k(w),  P = {2xy, 2yz, 2zx, (3y^2 - 1) / 2, x^2 - z^2}
+  // gives irradiance pi * sky_fraction * (l0 + dot(l1, sky_direction) + sum of l2[k] sky_quadratic[k]).
+  float sky_fraction = 0;    // of the cosine-weighted hemisphere, 0..1
+  Vec3 sky_direction;        // mean direction of what is seen of the sky, length <= 1
+  std::array<float, 5> sky_quadratic{};  // means of P over the same, -1..1
+};
+
+// The light of a lamp group at a node: irradiance of channel c is group.emission[c] * weight[c], as baked. Lamps reach a node
+// by these alone, whole; the sampled rows carry what surfaces reflect, lamps' own included.
+struct LampLight {
+  uint8_t row = 0;           // index into nodes
+  uint16_t group = 0;        // index into WorldInfo::lamp_groups
+  Vec3 weight;               // 0..1: the group's form factor, weighted by how bright each of its patches is
 };
 
 // The entries of a strip whose columns lie in one partner tile (of the strip's own level).
@@ -58,6 +74,7 @@ struct Strip {
   std::vector<uint8_t> rows;      // index into nodes
   std::vector<uint8_t> columns;   // index into the partner tile's nodes
   std::vector<uint16_t> counts;   // >= 1
+  std::vector<LampLight> lamps;   // by (row, group), ascending
 };
 
 // Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres.
@@ -88,8 +105,13 @@ struct LevelInfo {
   float cell_m = 0;              // edge of this level's grid cell
 };
 
-// A row may take up to a quarter more quanta than were asked for: bake/row_sampling.h says why.
-inline constexpr uint32_t mostQuanta(uint32_t asked) { return asked + asked / 4 < kMaxQuanta ? asked + asked / 4 : kMaxQuanta; }
+// Emitters that are switched together: those of one material, or of nodes that the scene file groups by name.
+struct LampGroup {
+  std::string name;
+  Vec3 emission;                 // W/m2: the largest of its patches', a channel at a time
+  double area_m2 = 0;
+  uint32_t patches = 0;
+};
 
 // A light of the source file that is no surface (glTF's KHR_lights_punctual), in world space. Its light is direct light, an
 // input at run time: the rows do not hold it.
@@ -112,7 +134,7 @@ struct WorldInfo {
   Vec3 grid_origin;              // corner of level-0 cell (0,0,0); cell = floor((p - origin) / cell_m)
   Box bounds;                    // m
   uint32_t rays = 0;             // per patch
-  uint32_t quanta = 0;           // Q asked for; a row has at most mostQuanta() of them
+  uint32_t quanta = 0;           // Q: samples of a row
   uint64_t seed = 0;
   std::array<uint8_t, 16> bake_key{};   // XXH3-128 of scene bytes, settings and code version
   std::string generator;         // "ffbake 0.1.0"
@@ -121,6 +143,7 @@ struct WorldInfo {
   double area_m2 = 0;
   uint64_t triangles = 0;
   double absorbed_fraction = 0;  // area-weighted: leak diagnostic
+  std::vector<LampGroup> lamp_groups;
   std::vector<Light> lights;     // of the source file
 };
 

@@ -42,7 +42,9 @@ Result<Sections> readSections(std::span<const std::byte> file) {
                      std::to_string(kFormatVersion),
                  "use a newer Formfield"};
   if (hashBytes(file.first(kManifestHeaderBytes - 8)) != h.checksum) return broken(0, "header checksum mismatch");
-  if (h.version < 1 || h.reader_version < 1) return broken(8, "version 0 does not exist");
+  if (h.version < kFormatVersion || h.reader_version < kFormatVersion)
+    return Error{ErrorCode::kInvalidFile, "", "offset 8",
+                 "is of format version " + std::to_string(h.version) + ", which was never released", "bake it again"};
   if (head.reservedUsed()) return broken(0, "uses a reserved byte of the header");
   if (h.file_bytes != file.size())
     return broken(16, "says " + std::to_string(h.file_bytes) + " bytes, the file has " + std::to_string(file.size()));
@@ -61,7 +63,7 @@ Result<Sections> readSections(std::span<const std::byte> file) {
     if (r.reservedUsed()) return broken(at, "uses a reserved byte of the section table");
     if (s.offset != end || s.stored_bytes > file.size() - end) return broken(at, "section lies outside the file");
     end += s.stored_bytes;
-    if ((s.kind == 0 || s.kind == 6 || s.kind > kSectionLast) && (s.kind & kSectionOptional) == 0)
+    if ((s.kind == 0 || s.kind > kSectionLast) && (s.kind & kSectionOptional) == 0)
       return Error{ErrorCode::kInvalidFile, "", "offset " + std::to_string(at),
                    "has a section of unknown kind " + std::to_string(s.kind), "use a newer Formfield"};
     const auto bytes = file.subspan(s.offset, s.stored_bytes);
@@ -168,6 +170,21 @@ Result<void> readParents(const Section& s, std::span<const LevelInfo> levels, st
   return finished(r, s);
 }
 
+Result<void> readLampGroups(const Section& s, std::vector<LampGroup>& groups) {
+  ByteReader r(s.bytes);
+  while (r.ok() && r.remaining() > 0) {
+    const uint64_t at = s.record.offset + r.position();
+    LampGroup& group = groups.emplace_back();
+    LampGroupRecord::fields(r, group);
+    if (!r.ok()) break;
+    if (groups.size() > kNoLampGroup) return broken(at, "has more lamp groups than 16 bits can number");
+    if (!finite(group.emission) || !(std::min({group.emission.x, group.emission.y, group.emission.z}) >= 0) ||
+        !std::isfinite(group.area_m2))
+      return broken(at, "lamp group holds a value that cannot be");
+  }
+  return finished(r, s);
+}
+
 // The size in the table is not believed: memory grows with what the frame yields.
 Result<void> readGrid(const Section& s, std::vector<GridLine>& grid, size_t& grid_bytes) {
   const uint64_t raw_bytes = s.record.raw_bytes;
@@ -207,6 +224,8 @@ Result<Manifest> parseManifest(std::span<const std::byte> bytes) {
   if (auto ok = readLevels(*(*sections)[kSectionLevels], m.levels); !ok) return ok.error();
   if (auto ok = readShards(*(*sections)[kSectionShards], m.shards); !ok) return ok.error();
   if (auto ok = readParents(*(*sections)[kSectionParents], m.levels, m.parents); !ok) return ok.error();
+  if ((*sections)[kSectionLampGroups])
+    if (auto ok = readLampGroups(*(*sections)[kSectionLampGroups], m.info.lamp_groups); !ok) return ok.error();
   if ((*sections)[kSectionGrid])
     if (auto ok = readGrid(*(*sections)[kSectionGrid], m.grid, m.grid_bytes); !ok) return ok.error();
   if ((*sections)[kSectionLights])

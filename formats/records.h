@@ -121,6 +121,7 @@ inline constexpr uint32_t kSectionLevels = 2;
 inline constexpr uint32_t kSectionShards = 3;
 inline constexpr uint32_t kSectionParents = 4;
 inline constexpr uint32_t kSectionGrid = 5;
+inline constexpr uint32_t kSectionLampGroups = 6;
 inline constexpr uint32_t kSectionLights = 7;
 inline constexpr uint32_t kSectionLast = kSectionLights;     // the largest kind that this reader knows
 inline constexpr uint32_t kSectionOptional = 0x80000000u;  // kinds with this bit may be skipped by who does not know them
@@ -152,6 +153,13 @@ struct WorldInfoRecord {
     io.f32(s.cell_m), io.vec3(s.grid_origin), io.box(s.bounds), io.u32(s.rays), io.u32(s.quanta), io.u64(s.seed);
     io.bytes(s.bake_key), io.f32(s.row_total_deviation), io.f64(s.area_m2), io.u64(s.triangles);
     io.f64(s.absorbed_fraction), io.text(s.generator), io.text(s.scene);
+  }
+};
+
+struct LampGroupRecord {
+  template <class Io, class Self>
+  static void fields(Io& io, Self& s) {
+    io.vec3(s.emission), io.f64(s.area_m2), io.u32(s.patches), io.text(s.name);
   }
 };
 

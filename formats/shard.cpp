@@ -24,7 +24,8 @@ Result<void> checkHeader(const std::string& path, int fd, const ShardRecord& rec
                  "use a newer Formfield"};
   if (hashBytes(std::span<const std::byte>(bytes).first(kShardHeaderBytes - 8)) != h.checksum)
     return broken(path, 0, "header checksum mismatch");
-  if (h.version < 1 || h.reader_version < 1) return broken(path, 8, "version 0 does not exist");
+  if (h.version < kFormatVersion || h.reader_version < kFormatVersion)
+    return broken(path, 8, "is of a format version that was never released");
   if (r.reservedUsed()) return broken(path, 0, "uses a reserved byte of the header");
   if (h.kind != record.kind || h.shard != number) return broken(path, 12, "is another shard than the manifest names");
   return {};

@@ -14,12 +14,16 @@ namespace ff::formats {
 // elements, then the next ones, so that equal high bytes form runs.
 struct StripLayout {
   // Bytes per node, in this order: area f32, centroid 3 x u16, normal 2 x i16, albedo 3 x u16, emission 3 x f32,
-  // quanta u16, sky u16, absorbed u16, sky direction 3 x i8.
-  static constexpr uint32_t kNodeBytes = 41;
+  // quanta u16, sky u16, absorbed u16, sky direction 3 x i8, sky quadratic 5 x i8, sky fraction u16, row total u16,
+  // lamp group u16, lamps u16.
+  static constexpr uint32_t kNodeBytes = 54;
   // partner tile step u32, entries - 1 u16
   static constexpr uint32_t kBlockBytes = 6;
+  // group u16, weights 3 x u16
+  static constexpr uint32_t kLampBytes = 8;
 
   uint32_t nodes = 0, blocks = 0, entries = 0;
+  uint32_t lamps = 0;  // the sum of the nodes' lamps
   uint64_t area() const { return 0; }
   uint64_t centroid() const { return uint64_t{4} * nodes; }
   uint64_t normal() const { return uint64_t{10} * nodes; }
@@ -29,7 +33,14 @@ struct StripLayout {
   uint64_t sky() const { return uint64_t{34} * nodes; }
   uint64_t absorbed() const { return uint64_t{36} * nodes; }
   uint64_t skyDirection() const { return uint64_t{38} * nodes; }
-  uint64_t blockSteps() const { return uint64_t{kNodeBytes} * nodes; }
+  uint64_t skyQuadratic() const { return uint64_t{41} * nodes; }
+  uint64_t skyFraction() const { return uint64_t{46} * nodes; }
+  uint64_t rowTotal() const { return uint64_t{48} * nodes; }
+  uint64_t lampGroup() const { return uint64_t{50} * nodes; }
+  uint64_t lampCount() const { return uint64_t{52} * nodes; }
+  uint64_t lampGroups() const { return uint64_t{kNodeBytes} * nodes; }
+  uint64_t lampWeights() const { return lampGroups() + uint64_t{2} * lamps; }
+  uint64_t blockSteps() const { return lampGroups() + uint64_t{kLampBytes} * lamps; }
   uint64_t blockEntries() const { return blockSteps() + uint64_t{4} * blocks; }
   // One mark per entry; then one column byte per entry, those of the runs' first entries before all others; then the
   // escapes. A run is the entries of one row in one block.
@@ -44,6 +55,13 @@ inline constexpr uint32_t kMarkCountBits = 3;
 inline constexpr uint32_t kMarkCountMask = 7;
 inline constexpr uint32_t kMarkLargeStep = 31;
 inline constexpr uint32_t kMaxEscapeBytes = 4;  // of one entry: a byte for the step, a varint of up to 3 for the count
+
+// Fractions of 0..1 with a relative precision of 2^-12 in 16 bits: 5 bits of exponent, 11 of mantissa. Codes above that of 1
+// are invalid. What a row's total is stored as: its sixteenth.
+inline constexpr uint16_t kFractionOne = 31 << 11;
+inline constexpr float kRowTotalUnit = 16;
+uint16_t packFraction(float v);  // clamps; nearest, ties to even
+float unpackFraction(uint16_t code);
 
 // A cut of the unit sphere into 65535^2 directions: the octahedral map (Meyer et al. On Floating-Point Normal Vectors.
 // 2010) with both coordinates as signed 16-bit fixed point. The zero vector is kZeroNormal in both.

@@ -56,7 +56,7 @@ Result<void> checkHeader(const TileInfo& info, uint64_t checksum, std::span<cons
     return broken(info, "header and index disagree");
   const StripLayout layout{h.nodes, h.blocks, h.entries};
   if (h.nodes < 1 || h.nodes > kTileNodes || h.blocks > h.entries || h.raw_bytes > kMaxStripRawBytes ||
-      h.raw_bytes < layout.escapes() || h.raw_bytes - layout.escapes() > uint64_t{kMaxEscapeBytes} * h.entries)
+      h.raw_bytes < layout.escapes())
     return broken(info, "sizes in the header contradict each other");
   return {};
 }
@@ -74,6 +74,40 @@ Result<void> inflate(const TileInfo& info, std::span<const std::byte> payload, s
 
 bool validDirection(int x, int y, int z) {
   return x != -128 && y != -128 && z != -128 && x * x + y * y + z * z <= 127 * 127;
+}
+
+// Sets what the header does not tell, layout.lamps, and checks what follows from it.
+Result<void> countLamps(const TileInfo& info, std::span<const std::byte> raw, StripLayout& layout) {
+  uint64_t lamps = 0;
+  for (size_t i = 0; i < layout.nodes; ++i) lamps += planeValue<uint16_t>(raw.data() + layout.lampCount(), layout.nodes, i);
+  layout.lamps = static_cast<uint32_t>(lamps);  // at most 256 * 65535
+  if (raw.size() < layout.escapes() || raw.size() - layout.escapes() > uint64_t{kMaxEscapeBytes} * layout.entries)
+    return broken(info, "sizes in the header and the lamps' number contradict each other");
+  return {};
+}
+
+Result<void> decodeLamps(const TileInfo& info, const std::byte* raw, const StripLayout& layout, Strip& out) {
+  const size_t n = layout.lamps;
+  out.lamps.resize(n);
+  size_t k = 0;
+  for (size_t i = 0; i < layout.nodes; ++i) {
+    const size_t end = k + planeValue<uint16_t>(raw + layout.lampCount(), layout.nodes, i);
+    for (const size_t first = k; k < end; ++k) {
+      LampLight& lamp = out.lamps[k];
+      const auto bad = [&](const char* what) { return broken(info, "row " + std::to_string(i) + ": " + what); };
+      lamp.row = static_cast<uint8_t>(i);
+      lamp.group = planeValue<uint16_t>(raw + layout.lampGroups(), n, k);
+      if (lamp.group == kNoLampGroup || (k > first && lamp.group <= out.lamps[k - 1].group)) return bad("lamp groups are not in order");
+      const auto red = planeValue<uint16_t>(raw + layout.lampWeights(), n, k);
+      for (size_t c = 0; c < 3; ++c) {
+        const auto step = planeValue<uint16_t>(raw + layout.lampWeights() + 2 * n * c, n, k);
+        const auto code = static_cast<uint16_t>(c == 0 ? red : red + step);
+        if (code > kFractionOne) return bad("a lamp's weight is above 1");
+        lamp.weight[static_cast<int>(c)] = unpackFraction(code);
+      }
+    }
+  }
+  return {};
 }
 
 Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const StripLayout& layout, Strip& out) {
@@ -100,7 +134,19 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
     node.quanta = planeValue<uint16_t>(raw + layout.quanta(), n, i);
     node.sky = planeValue<uint16_t>(raw + layout.sky(), n, i);
     node.absorbed = planeValue<uint16_t>(raw + layout.absorbed(), n, i);
+    for (size_t k = 0; k < node.sky_quadratic.size(); ++k) {
+      const int mean = planeValue<int8_t>(raw + layout.skyQuadratic() + n * k, n, i);
+      if (mean == -128) return broken(info, "node " + std::to_string(i) + ": sky quadratic is below -1");
+      node.sky_quadratic[k] = static_cast<float>(mean) / 127.0f;
+    }
+    const auto fraction = planeValue<uint16_t>(raw + layout.skyFraction(), n, i);
+    const auto total = planeValue<uint16_t>(raw + layout.rowTotal(), n, i);
+    node.sky_fraction = unpackFraction(fraction);
+    node.row_total = kRowTotalUnit * unpackFraction(total);
+    node.lamp_group = planeValue<uint16_t>(raw + layout.lampGroup(), n, i);
     const auto bad = [&](const char* what) { return broken(info, "node " + std::to_string(i) + ": " + what); };
+    if (fraction > kFractionOne) return bad("sky fraction is above 1");
+    if (total > kFractionOne) return bad("row total is above 16");
     if (!(node.area_m2 > 0) || !std::isfinite(node.area_m2)) return bad("area is not a positive number");
     if ((normal.u == kZeroNormal) != (normal.v == kZeroNormal)) return bad("normal is not a direction");
     node.normal = unpackNormal(normal);
@@ -221,6 +267,11 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
 
 }  // namespace
 
+float unpackFraction(uint16_t code) {
+  if (code >> 11 == 0) return static_cast<float>(code) * 0x1p-41f;
+  return std::bit_cast<float>((uint32_t{code} + (uint32_t{127 - 31} << 11)) << 12);
+}
+
 Vec3 unpackNormal(OctNormal n) {
   if (n.u == kZeroNormal || n.v == kZeroNormal) return {};
   const float x = static_cast<float>(n.u) / 32767.0f, y = static_cast<float>(n.v) / 32767.0f;
@@ -233,13 +284,15 @@ Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span
                               std::span<const std::byte> stored, Strip& out) try {
   StripHeader header;
   if (auto ok = checkHeader(info, checksum, stored, header); !ok) return ok;
-  const StripLayout layout{header.nodes, header.blocks, header.entries};
+  StripLayout layout{header.nodes, header.blocks, header.entries};
   thread_local std::vector<std::byte> scratch;  // bounded by kMaxStripRawBytes
   scratch.resize(header.raw_bytes);
   if (auto ok = inflate(info, stored.subspan(kStripHeaderBytes), scratch); !ok) return ok;
+  if (auto ok = countLamps(info, scratch, layout); !ok) return ok;
   out.id = info.id;
   out.first_node = info.first_node;
   if (auto ok = decodeNodes(info, scratch.data(), layout, out); !ok) return ok;
+  if (auto ok = decodeLamps(info, scratch.data(), layout, out); !ok) return ok;
   if (auto ok = decodeBlocks(info, scratch.data(), layout, partners.size(), out); !ok) return ok;
   return decodeEntries(info, scratch, layout, partners, out);
 } catch (const std::bad_alloc&) {

@@ -78,6 +78,10 @@ Result<void> checkNode(const Strip& strip, size_t i, const Box& bounds) {
       return bad("centroid lies outside the tile's bounds");
   }
   if (length(n.sky_direction) > 1.001f) return bad("sky direction is longer than 1");
+  for (const float mean : n.sky_quadratic)
+    if (!(std::abs(mean) <= 1.001f)) return bad("a mean of the sky's quadratics is outside -1..1");
+  if (!(n.sky_fraction >= 0) || !(n.sky_fraction <= 1)) return bad("sky fraction is outside 0..1");
+  if (!(n.row_total >= 0)) return bad("row total is negative");
   if (n.quanta > kMaxQuanta || n.sky > kMaxQuanta || n.absorbed > kMaxQuanta) return bad("more than 65535 quanta");
   return {};
 }
@@ -112,6 +116,37 @@ Result<void> checkEntries(const Strip& strip) {
   return {};
 }
 
+Result<void> checkLamps(const Strip& strip) {
+  for (size_t k = 0; k < strip.lamps.size(); ++k) {
+    const LampLight& lamp = strip.lamps[k];
+    const auto bad = [&](const char* what) { return unfit(strip, "lamp light " + std::to_string(k) + ": " + what); };
+    if (lamp.row >= strip.nodes.size()) return bad("its row is outside the tile");
+    if (lamp.group == kNoLampGroup) return bad("has no group");
+    if (k > 0 && std::pair(lamp.row, lamp.group) <= std::pair(strip.lamps[k - 1].row, strip.lamps[k - 1].group))
+      return bad("is not in order of row and group");
+    for (int c = 0; c < 3; ++c)
+      if (!(lamp.weight[c] >= 0) || !(lamp.weight[c] <= 1)) return bad("its weight is outside 0..1");
+  }
+  return {};
+}
+
+// Green and blue are told as steps from red, which are zero for lamps of one colour.
+void putLamps(std::byte* raw, const StripLayout& layout, const Strip& strip) {
+  const size_t n = layout.lamps;
+  std::array<uint16_t, kTileNodes> count{};
+  for (size_t k = 0; k < n; ++k) {
+    const LampLight& lamp = strip.lamps[k];
+    ++count[lamp.row];
+    putPlanes(raw + layout.lampGroups(), n, k, lamp.group);
+    const uint16_t red = packFraction(lamp.weight.x);
+    putPlanes(raw + layout.lampWeights(), n, k, red);
+    for (int c = 1; c < 3; ++c)
+      putPlanes(raw + layout.lampWeights() + 2 * n * static_cast<size_t>(c), n, k,
+                static_cast<uint16_t>(packFraction(lamp.weight[c]) - red));
+  }
+  for (size_t i = 0; i < layout.nodes; ++i) putPlanes(raw + layout.lampCount(), layout.nodes, i, count[i]);
+}
+
 void putNode(std::byte* raw, const StripLayout& layout, size_t i, const Node& node, const Box& bounds) {
   const size_t n = layout.nodes;
   putFloat(raw + layout.area(), n, i, node.area_m2);
@@ -129,6 +164,12 @@ void putNode(std::byte* raw, const StripLayout& layout, size_t i, const Node& no
   putPlanes(raw + layout.quanta(), n, i, static_cast<uint16_t>(node.quanta));
   putPlanes(raw + layout.sky(), n, i, static_cast<uint16_t>(node.sky));
   putPlanes(raw + layout.absorbed(), n, i, static_cast<uint16_t>(node.absorbed));
+  for (size_t k = 0; k < node.sky_quadratic.size(); ++k)
+    putPlanes(raw + layout.skyQuadratic() + n * k, n, i,
+              static_cast<uint8_t>(std::lround(std::clamp(node.sky_quadratic[k], -1.0f, 1.0f) * 127.0f)));
+  putPlanes(raw + layout.skyFraction(), n, i, packFraction(node.sky_fraction));
+  putPlanes(raw + layout.rowTotal(), n, i, packFraction(node.row_total / kRowTotalUnit));
+  putPlanes(raw + layout.lampGroup(), n, i, node.lamp_group);
 }
 
 void putEscape(std::vector<std::byte>& escapes, uint32_t step, uint32_t count) {
@@ -199,6 +240,14 @@ bool compressStreams(std::span<const std::byte> raw, std::initializer_list<uint6
 
 }  // namespace
 
+uint16_t packFraction(float v) {
+  if (!(v > 0)) return 0;
+  if (v >= 1) return kFractionOne;
+  if (v < 0x1p-30f) return static_cast<uint16_t>(std::nearbyint(v * 0x1p41f));  // 2048 is the code of 2^-30
+  const auto bits = std::bit_cast<uint32_t>(v);
+  return static_cast<uint16_t>(((bits + 0x7ffu + (bits >> 12 & 1)) >> 12) - (uint32_t{127 - 31} << 11));
+}
+
 OctNormal packNormal(Vec3 n) {
   const float sum = std::abs(n.x) + std::abs(n.y) + std::abs(n.z);
   if (!(sum > 0)) return {kZeroNormal, kZeroNormal};
@@ -219,13 +268,15 @@ Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds) {
   for (size_t i = 0; i < strip.nodes.size(); ++i)
     if (auto ok = checkNode(strip, i, bounds); !ok) return ok.error();
   if (auto ok = checkEntries(strip); !ok) return ok.error();
+  if (auto ok = checkLamps(strip); !ok) return ok.error();
 
   const StripLayout layout{static_cast<uint32_t>(strip.nodes.size()), static_cast<uint32_t>(strip.blocks.size()),
-                           static_cast<uint32_t>(strip.rows.size())};
+                           static_cast<uint32_t>(strip.rows.size()), static_cast<uint32_t>(strip.lamps.size())};
   if (layout.escapes() + uint64_t{kMaxEscapeBytes} * layout.entries > kMaxStripRawBytes)
     return unfit(strip, "has too many entries");
   std::vector<std::byte> raw(layout.escapes());
   for (size_t i = 0; i < strip.nodes.size(); ++i) putNode(raw.data(), layout, i, strip.nodes[i], bounds);
+  putLamps(raw.data(), layout, strip);
   const size_t runs = putEntries(raw, layout, strip);
   EncodedStrip out;
   out.bytes.resize(kStripHeaderBytes);

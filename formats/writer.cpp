@@ -234,6 +234,11 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
   for (const auto& shard : s.shards) ShardRecord::fields(shard_bytes, shard->record());
   addSection(kSectionShards, shard_bytes);
   addSection(kSectionParents, parent_bytes);
+  if (!info.lamp_groups.empty()) {
+    ByteWriter group_bytes;
+    for (const LampGroup& group : info.lamp_groups) LampGroupRecord::fields(group_bytes, group);
+    addSection(kSectionLampGroups, group_bytes);
+  }
   if (!spatial_grid.empty()) {
     auto grid = compress(spatial_grid);
     if (!grid) return grid.error();

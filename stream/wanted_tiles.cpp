@@ -10,7 +10,7 @@ using formats::TileInfo;
 uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   const uint64_t partners = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
-  const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (formats::mostQuanta(world.info().quanta) / 255 + 1);
+  const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (world.info().quanta / 255 + 1);
   return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * 4 + 16 * (uint64_t{info.nodes} + 1) +
          info.entries * sizeof(ResidentStrip::Run) + words * 2;
 }

@@ -64,15 +64,17 @@ TEST(FormFactor, RowsDoNotDependOnTheSeedBeyondTheirNoiseButDoDependOnIt) {
   EXPECT_NEAR(formFactor(a, 0, 1), formFactor(b, 0, 1), 2 * allowed(0.2, a, 0));
 }
 
-TEST(FormFactor, MeanSkyDirectionOfAFreePlatePointsTwoThirdsUp) {
-  // The mean of a cosine-distributed direction is 2/3 of the normal; its tangential parts average out.
+TEST(FormFactor, TheMeansOfAFreePlatesSkyAreThoseOfTheCosine) {
+  // The mean of a cosine-distributed direction is 2/3 of the normal, that of y^2 is 1/2; what is odd averages out.
   Scene s;
   addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, addMaterial(s, {.5f, .5f, .5f}));
   const CastScene c = cast(std::move(s), 1, 16384);
   ASSERT_EQ(c.set.patches.size(), 1u);
   EXPECT_EQ(c.rows.sky[0], 16384u);
-  EXPECT_NEAR(c.rows.sky_direction[0].y, 2.0f / 3, 2e-3f);
-  EXPECT_NEAR(c.rows.sky_direction[0].x, 0.0f, 2e-3f);
+  EXPECT_NEAR(c.rows.sky_means[0].direction.y, 2.0f / 3, 2e-3f);
+  EXPECT_NEAR(c.rows.sky_means[0].direction.x, 0.0f, 2e-3f);
+  const std::array<float, 5> quadratic = {0, 0, 0, 0.25f, 0};
+  for (size_t k = 0; k < 5; ++k) EXPECT_NEAR(c.rows.sky_means[0].quadratic[k], quadratic[k], 3e-3f) << k;
 }
 
 }  // namespace

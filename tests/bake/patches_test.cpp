@@ -86,10 +86,10 @@ TEST(Patches, ALampAndItsFittingAreNeverOnePatch) {
   ASSERT_TRUE(set);
   ASSERT_EQ(set->patches.size(), 2u);
   const Patch &dark = set->patches[0], &shining = set->patches[1];
-  EXPECT_FALSE(dark.shines);
+  EXPECT_FALSE(dark.emits());
   EXPECT_EQ(dark.emission, Vec3{});
   EXPECT_NEAR(dark.area_m2, 0.4f, 1e-6f);
-  EXPECT_TRUE(shining.shines);
+  EXPECT_TRUE(shining.emits());
   EXPECT_NEAR(shining.area_m2, 0.41f, 1e-6f);
   EXPECT_NEAR(shining.emission.x, 9 * 3.14159265f, 1e-4f);
 }

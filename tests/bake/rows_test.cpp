@@ -116,74 +116,6 @@ TEST(RowSampling, IsUnbiasedOverItsOffset) {
   for (uint32_t j = 0; j < 50; ++j) EXPECT_NEAR(mean[j], row.area_m2[j] / sum * 16, 2.0 / kOffsets) << j;
 }
 
-TEST(RowSampling, AllLampsTogetherGetTheirShareWithinOneCount) {
-  // Lamps here and there among 200 columns: sampled one after the other they are off by one count in all, not one each.
-  ExchangeRow row;
-  std::vector<uint8_t> shines;
-  double lamps = 0, sum = 0.2;
-  row.sky_m2 = 0.2;
-  for (uint32_t j = 0; j < 200; ++j) {
-    row.column.push_back(j);
-    row.area_m2.push_back(0.001 + 0.00003 * (j * 37 % 101));
-    shines.push_back(j % 9 == 4);
-    sum += row.area_m2.back();
-    if (shines.back()) lamps += row.area_m2.back();
-  }
-  SampledRow out;
-  for (const double offset : {0.0, 0.31, 0.5, 0.77, 0.999}) {
-    sampleRow(row, 1, 64, offset, out, shines);
-    uint32_t all = out.sky + out.absorbed, of_lamps = 0;
-    for (size_t k = 0; k < out.column.size(); ++k) {
-      if (k > 0) {
-        EXPECT_LT(out.column[k - 1], out.column[k]);
-      }
-      all += out.count[k];
-      of_lamps += shines[out.column[k]] ? out.count[k] : 0;
-    }
-    EXPECT_EQ(all, 64u);
-    EXPECT_LE(std::abs(of_lamps - 64 * lamps / sum), 1 + 1e-9) << "offset " << offset;
-  }
-}
-
-TEST(RowSampling, QuantaAreChosenSoThatLampsGetAWholeNumberOfCounts) {
-  // One lamp and a hundred other columns; whatever its share, what it is given is within 1 % where a quarter more quanta reach
-  // a whole count, and never farther off than by the quanta asked for.
-  int far = 0;
-  for (int step = 1; step <= 200; ++step) {
-    ExchangeRow row;
-    std::vector<uint8_t> shines(101);
-    shines[40] = 1;
-    for (uint32_t j = 0; j < 101; ++j) {
-      row.column.push_back(j);
-      row.area_m2.push_back(j == 40 ? 0.02 * step / 200 : 0.98 / 100);
-    }
-    double sum = 0;
-    for (const double a : row.area_m2) sum += a;
-    const uint32_t q = quantaFor(row, 512, shines);
-    ASSERT_GE(q, 512u);
-    ASSERT_LE(q, 640u);
-    const double counts = row.area_m2[40] / sum * q, off = std::abs(counts - std::round(counts)) / counts;
-    const double asked = row.area_m2[40] / sum * 512;
-    EXPECT_LE(off, std::abs(asked - std::round(asked)) / asked + 1e-12);
-    if (asked > 4) {
-      EXPECT_LT(off, 0.01) << asked;
-    }
-    far += off > 0.01;
-    SampledRow out;
-    for (const double offset : {0.02, 0.5, 0.97}) {
-      sampleRow(row, 1, q, offset, out, shines);
-      uint32_t all = out.sky + out.absorbed;
-      for (const uint16_t n : out.count) all += n;
-      EXPECT_EQ(all, q);
-    }
-  }
-  EXPECT_LT(far, 100);
-  ExchangeRow dark;
-  dark.column = {0, 1};
-  dark.area_m2 = {0.4, 0.6};
-  EXPECT_EQ(quantaFor(dark, 512, std::vector<uint8_t>{0, 0}), 512u);
-}
-
 TEST(RowSampling, ARowThatSeesNothingIsAbsorbed) {
   ExchangeRow row;
   SampledRow out;
@@ -230,7 +162,7 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   std::vector<float> sky(c.set.patches.size(), 0);
   std::vector<uint8_t> narrow(sky.size());
   for (size_t i = 0; i < sky.size(); ++i) {
-    c.set.patches[i].shines = i % 7 == 0;
+    c.set.patches[i].lamp_group = i % 7 == 0 ? static_cast<uint16_t>(i % 2) : formats::kNoLampGroup;
     narrow[i] = static_cast<uint8_t>(i % 3);
   }
   const Hierarchy h = makeHierarchy(c.set.patches, sky, narrow);
@@ -240,7 +172,7 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   for (uint32_t i = 1; i < sky.size(); ++i) {
     if (h.parents[0][i] != h.parents[0][i - 1]) continue;
     const uint32_t a = patch_of[i], b = patch_of[i - 1];
-    EXPECT_EQ(c.set.patches[a].shines, c.set.patches[b].shines);
+    EXPECT_EQ(c.set.patches[a].lamp_group, c.set.patches[b].lamp_group);
     EXPECT_EQ(narrow[a], narrow[b]);
   }
 }
@@ -295,7 +227,7 @@ TEST(FormFactor, LampsCastMoreRaysAndAreKnownFromTheirOwnEnd) {
       pooled.row(i, row);
       double x = 0;
       for (size_t k = 0; k < row.column.size(); ++k)
-        if (c.set.patches[row.column[k]].shines) x += row.area_m2[k];
+        if (c.set.patches[row.column[k]].emits()) x += row.area_m2[k];
       f.push_back(x / static_cast<double>(c.set.patches[i].area_m2));
     }
     return f;
@@ -306,10 +238,10 @@ TEST(FormFactor, LampsCastMoreRaysAndAreKnownFromTheirOwnEnd) {
     return std::sqrt(e / t);
   };
   const CastScene fine = cast(s, 1, 32768, 9), c = cast(s, 1, 512);
-  for (uint32_t i = 0; i < c.set.patches.size(); ++i) EXPECT_EQ(c.rows.rays[i], c.set.patches[i].shines ? 4096u : 512u);
+  for (uint32_t i = 0; i < c.set.patches.size(); ++i) EXPECT_EQ(c.rows.rays[i], c.set.patches[i].emits() ? 4096u : 512u);
   CastScene plain = c;  // as if the lamp had cast no more than the others: the first 512 of its rays are as good as any
   for (uint32_t i = 0; i < c.set.patches.size(); ++i)
-    if (c.set.patches[i].shines) {
+    if (c.set.patches[i].emits()) {
       plain.rows.rays[i] = 512;
       for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) plain.rows.count[k] = 0;
       for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k)

@@ -102,7 +102,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   }
   const StripLayout one{1, 0, 0};
   EXPECT_EQ(end, StripLayout::kNodeBytes);
-  EXPECT_EQ(offsets.size(), 9u);
+  EXPECT_EQ(offsets.size(), 14u);
   EXPECT_EQ(offsets["area"], one.area());
   EXPECT_EQ(offsets["centroid"], one.centroid());
   EXPECT_EQ(offsets["normal"], one.normal());
@@ -112,7 +112,13 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   EXPECT_EQ(offsets["sky"], one.sky());
   EXPECT_EQ(offsets["absorbed"], one.absorbed());
   EXPECT_EQ(offsets["sky direction"], one.skyDirection());
+  EXPECT_EQ(offsets["quadratic"], one.skyQuadratic());
+  EXPECT_EQ(offsets["fraction"], one.skyFraction());
+  EXPECT_EQ(offsets["total"], one.rowTotal());
+  EXPECT_EQ(offsets["group"], one.lampGroup());
+  EXPECT_EQ(offsets["lamps"], one.lampCount());
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kNodeBytes) + " N |"), std::string::npos);
+  EXPECT_NE(page().find("| " + std::to_string(StripLayout::kLampBytes) + " L |"), std::string::npos);
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kBlockBytes) + " B |"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxEscapeBytes) + " E"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxStripRawBytes)), std::string::npos);

@@ -1,4 +1,4 @@
-// A small world as version 1 wrote it, for ever: tests/golden/furnace_v1.hex, with its expected content in
+// A small world as version 2 wrote it: tests/golden/furnace_v2.hex, with its expected content in
 // furnace_world.h. Old files must stay readable, and the same calls must give the same bytes.
 #include <gtest/gtest.h>
 #include <zstd.h>
@@ -29,13 +29,20 @@ RandomWorld goldenWorld() {
   for (int i = 0; i < 96; ++i) w.grid.push_back(static_cast<std::byte>(i));
   w.strips[0][0].nodes[3].normal = {0, -1, 0};
   w.strips[0][0].nodes[4].sky_direction = {0, 1, 0};
+  w.strips[0][0].nodes[4].sky_fraction = 0.375f;
+  w.strips[0][0].nodes[4].sky_quadratic = {0, 0, 0, 1, 0};
+  w.strips[0][0].nodes[5].row_total = 1.25f;
+  for (uint32_t level = 0; level < 2; ++level)
+    for (Node& node : w.strips[level][0].nodes) node.lamp_group = 0;
+  w.strips[0][0].lamps = {{2, 0, {0.5f, 0.25f, 0}}, {9, 0, {0.125f, 0.125f, 0.125f}}};
+  w.info.lamp_groups = {{"lamp", {1, 0, 0}, 12, 12}};
   return w;
 }
 
 // "file NAME", then lines of hex bytes, or "zeros N".
 Files readGolden() {
   Files files;
-  std::ifstream in(FF_GOLDEN "/furnace_v1.hex");
+  std::ifstream in(FF_GOLDEN "/furnace_v2.hex");
   std::string line, name;
   while (std::getline(in, line)) {
     std::istringstream words(line);
@@ -56,7 +63,7 @@ Files readGolden() {
 
 void writeGolden(const Files& files, const std::string& path) {
   std::ofstream out(path);
-  out << "# A world as format version 1 wrote it; see golden_test.cpp. Never to be changed.\n";
+  out << "# A world as format version 2 wrote it; see golden_test.cpp.\n";
   for (const auto& [name, bytes] : files) {
     out << "file " << name << "\n";
     for (size_t i = 0; i < bytes.size();) {
@@ -83,10 +90,10 @@ Files writeNow(const TemporaryFolder& folder) {
   return files;
 }
 
-TEST(Golden, Version1StaysReadable) {
+TEST(Golden, Version2StaysReadable) {
   TemporaryFolder folder;
   const Files files = readGolden();
-  ASSERT_EQ(files.size(), 3u) << "tests/golden/furnace_v1.hex is missing";
+  ASSERT_EQ(files.size(), 3u) << "tests/golden/furnace_v2.hex is missing";
   for (const auto& [name, bytes] : files) writeFile(folder.file(name), bytes);
   auto world = World::open(folder.file("furnace.ffm"));
   ASSERT_TRUE(world) << world.error().line();
@@ -102,17 +109,26 @@ TEST(Golden, Version1StaysReadable) {
     EXPECT_EQ(strip->columns, e.columns);
     EXPECT_EQ(strip->counts, e.counts);
     ASSERT_EQ(strip->nodes.size(), e.nodes.size());
+    ASSERT_EQ(strip->lamps.size(), e.lamps.size());
+    for (size_t k = 0; k < e.lamps.size(); ++k) EXPECT_EQ(strip->lamps[k].weight, e.lamps[k].weight);
     for (size_t i = 0; i < e.nodes.size(); ++i) {
       EXPECT_EQ(strip->nodes[i].area_m2, e.nodes[i].area_m2);
       EXPECT_EQ(strip->nodes[i].normal, e.nodes[i].normal);
       EXPECT_EQ(strip->nodes[i].emission, e.nodes[i].emission);
       EXPECT_EQ(strip->nodes[i].sky_direction, e.nodes[i].sky_direction);
       EXPECT_EQ(strip->nodes[i].parent, e.nodes[i].parent);
+      EXPECT_EQ(strip->nodes[i].sky_fraction, e.nodes[i].sky_fraction);
+      EXPECT_EQ(strip->nodes[i].sky_quadratic, e.nodes[i].sky_quadratic);
+      EXPECT_EQ(strip->nodes[i].row_total, e.nodes[i].row_total);
+      EXPECT_EQ(strip->nodes[i].lamp_group, 0);
       // Centroids lie at eighths of the box, whose nearest 16-bit fraction is at most half a step off.
       EXPECT_LE(length(strip->nodes[i].centroid - e.nodes[i].centroid), 1.8f * 0.5f * 8 / 65535);
       EXPECT_NEAR(strip->nodes[i].albedo.y, 0.5f, 0.5f / 65535);
     }
   }
+  ASSERT_EQ(world->info().lamp_groups.size(), 1u);
+  EXPECT_EQ(world->info().lamp_groups[0].name, "lamp");
+  EXPECT_EQ(world->info().lamp_groups[0].emission, (Vec3{1, 0, 0}));
   auto geometry = world->geometry(0);
   ASSERT_TRUE(geometry) << geometry.error().line();
   EXPECT_EQ(geometry->patch, expected.geometry[0].patch);

@@ -56,6 +56,18 @@ void fillRows(Random& random, uint32_t quanta, std::span<const uint32_t> tile_no
   }
 }
 
+constexpr uint32_t kLampGroups = 3;
+
+// Every second node or so has light of some groups; half the groups are of one colour.
+void fillLamps(Random& random, Strip& strip) {
+  for (uint32_t row = 0; row < strip.nodes.size(); ++row)
+    for (uint16_t group = 0; group < kLampGroups; ++group) {
+      if (below(random, 3) != 0) continue;
+      const float weight = std::exp2(uniform(random, -28, 0));
+      strip.lamps.push_back({static_cast<uint8_t>(row), group, {weight, weight, group == 1 ? uniform(random, 0, 1) : weight}});
+    }
+}
+
 Node randomNode(Random& random, const Box& bounds) {
   Node n;
   n.area_m2 = uniform(random, 0.01f, 2);
@@ -66,6 +78,10 @@ Node randomNode(Random& random, const Box& bounds) {
   }
   if (below(random, 10) != 0) n.normal = direction(random);
   n.sky_direction = direction(random) * uniform(random, 0, 1);
+  for (float& mean : n.sky_quadratic) mean = uniform(random, -1, 1);
+  n.sky_fraction = below(random, 4) == 0 ? 0 : std::exp2(uniform(random, -25, 0));
+  n.row_total = uniform(random, 0, 3);
+  if (!(n.emission == Vec3{})) n.lamp_group = static_cast<uint16_t>(below(random, kLampGroups));
   return n;
 }
 
@@ -105,6 +121,7 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
       strip.first_node = first_node;
       for (uint32_t i = 0; i < tile_nodes[tile]; ++i) strip.nodes.push_back(randomNode(random, bounds));
       fillRows(random, settings.quanta, tile_nodes, strip);
+      fillLamps(random, strip);
       if (level == 0 && settings.geometry) w.geometry.push_back(randomGeometry(random, tile, tile_nodes[tile], bounds));
       first_node += tile_nodes[tile];
       w.strips[level].push_back(std::move(strip));
@@ -140,6 +157,7 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
   w.info.lights = {{"sun", Light::kDirectional, {3, 2, 1}, {}, {0, -1, 0}, 0, 0, 0},
                    {"bulb", Light::kPoint, {10, 0, 0.5f}, {1, 2, 3}, {}, 4, 0, 0},
                    {"", Light::kSpot, {1, 1, 1}, {-1, 0, 7}, {0.6f, 0, 0.8f}, 0, 0.25f, 0.5f}};
+  for (uint32_t g = 0; g < kLampGroups; ++g) w.info.lamp_groups.push_back({"lamp " + std::to_string(g), {1, 2, static_cast<float>(g)}, 0.5, g});
   for (int i = 0; i < 1000; ++i) w.grid.push_back(static_cast<std::byte>(below(random, 3)));
   return w;
 }

@@ -38,6 +38,12 @@ void expectSameNode(const Node& read, const Node& written, const Box& bounds) {
   ASSERT_EQ(read.quanta, written.quanta);
   ASSERT_EQ(read.sky, written.sky);
   ASSERT_EQ(read.absorbed, written.absorbed);
+  // Fractions keep 12 bits; the quadratic means a step of 1/127.
+  ASSERT_NEAR(read.sky_fraction, written.sky_fraction, 0x1p-12f * written.sky_fraction);
+  ASSERT_NEAR(read.row_total, written.row_total, 0x1p-12f * written.row_total);
+  for (size_t k = 0; k < read.sky_quadratic.size(); ++k)
+    ASSERT_NEAR(read.sky_quadratic[k], written.sky_quadratic[k], 0.5f / 127 + 1e-6f);
+  ASSERT_EQ(read.lamp_group, written.lamp_group);
 }
 
 void expectSameWorld(const World& read, const RandomWorld& w) {
@@ -62,6 +68,13 @@ void expectSameWorld(const World& read, const RandomWorld& w) {
       ASSERT_EQ(strip->rows, written.rows);
       ASSERT_EQ(strip->columns, written.columns);
       ASSERT_EQ(strip->counts, written.counts);
+      ASSERT_EQ(strip->lamps.size(), written.lamps.size());
+      for (size_t k = 0; k < written.lamps.size(); ++k) {
+        ASSERT_EQ(strip->lamps[k].row, written.lamps[k].row);
+        ASSERT_EQ(strip->lamps[k].group, written.lamps[k].group);
+        for (int c = 0; c < 3; ++c)
+          ASSERT_NEAR(strip->lamps[k].weight[c], written.lamps[k].weight[c], 0x1p-12f * written.lamps[k].weight[c]);
+      }
       const TileInfo& info = read.tiles(level)[tile];
       ASSERT_EQ(info.bounds.lo, w.bounds[level][tile].lo);
       ASSERT_EQ(info.bounds.hi, w.bounds[level][tile].hi);
@@ -70,6 +83,21 @@ void expectSameWorld(const World& read, const RandomWorld& w) {
     }
     ASSERT_EQ(read.levels()[level].entries, entries);
   }
+}
+
+TEST(StripCodec, FractionsKeepTwelveBitsFromOneDownToTwoToTheMinusThirtyAndAreInOrder) {
+  EXPECT_EQ(packFraction(0), 0);
+  EXPECT_EQ(packFraction(-1), 0);
+  EXPECT_EQ(packFraction(1), kFractionOne);
+  EXPECT_EQ(packFraction(7), kFractionOne);
+  float before = -1;
+  for (uint32_t code = 0; code <= kFractionOne; ++code) {
+    const float v = unpackFraction(static_cast<uint16_t>(code));
+    ASSERT_GT(v, before);
+    ASSERT_EQ(packFraction(v), code);
+    before = v;
+  }
+  for (float v = 1; v > 0x1p-30f; v *= 0.9371f) ASSERT_NEAR(unpackFraction(packFraction(v)), v, 0x1p-12f * v) << v;
 }
 
 TEST(World, ReadsWhatWasWritten) {

@@ -35,7 +35,7 @@ struct OpenStrip {
     for (uint32_t nodes : tile_nodes) partners.emplace_back().nodes = nodes;
   }
 
-  StripLayout layout() const { return {header.nodes, header.blocks, header.entries}; }
+  StripLayout layout() const { return {header.nodes, header.blocks, header.entries, 2}; }  // sampleStrip()'s lamps
 
   std::vector<std::byte> seal(bool take_header = true) {
     std::vector<std::byte> payload(ZSTD_compressBound(raw.size()));
@@ -75,6 +75,7 @@ Strip sampleStrip() {
   s.rows = {0, 0, 1, 0};
   s.columns = {3, 9, 4, 0};
   s.counts = {1, 7, 5, 892};
+  s.lamps = {{1, 4, {0.25f, 0.25f, 0.5f}}, {1, 9, {1, 1, 1}}};
   return s;
 }
 
@@ -121,6 +122,22 @@ TEST(StripRules, NodesHoldPossibleValues) {
     setByte(s, s.layout().normal(), 0);
     setByte(s, s.layout().normal() + 2, 0x80);
   });
+}
+
+TEST(StripRules, LampsAndSkyHoldPossibleValues) {
+  const auto u16 = [](OpenStrip& s, uint64_t at, uint64_t n, uint64_t i, uint32_t v) {
+    setByte(s, at + i, v & 255);
+    setByte(s, at + n + i, v >> 8);
+  };
+  expectRefused("sky fraction", [&](OpenStrip& s) { u16(s, s.layout().skyFraction(), 2, 0, kFractionOne + 1); });
+  expectRefused("sky quadratic", [&](OpenStrip& s) { setByte(s, s.layout().skyQuadratic() + 2 * 4, 128); });
+  expectRefused("row total", [&](OpenStrip& s) { u16(s, s.layout().rowTotal(), 2, 1, 0xffff); });
+  expectRefused("weight", [&](OpenStrip& s) { u16(s, s.layout().lampWeights(), 2, 0, kFractionOne + 1); });
+  expectRefused("weight", [&](OpenStrip& s) { u16(s, s.layout().lampWeights() + 8, 2, 1, 1); });  // 1 and a step in blue
+  expectRefused("not in order", [&](OpenStrip& s) { u16(s, s.layout().lampGroups(), 2, 1, 4); });
+  expectRefused("not in order", [&](OpenStrip& s) { u16(s, s.layout().lampGroups(), 2, 1, kNoLampGroup); });
+  expectRefused("contradict", [&](OpenStrip& s) { u16(s, s.layout().lampCount(), 2, 1, 9); });
+  expectRefused("contradict", [&](OpenStrip& s) { u16(s, s.layout().lampCount(), 2, 0, 0xffff); });
 }
 
 TEST(StripRules, RowsCloseExactly) {
