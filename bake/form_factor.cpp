@@ -45,7 +45,7 @@ struct Chunk {
 }  // namespace
 
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-               float surface_offset, std::span<Ray> rays, std::span<Vec3> normals) {
+               const RayCaster& caster, std::span<Ray> rays, std::span<Vec3> normals) {
   const Patch& p = set.patches[patch];
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
@@ -73,7 +73,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
     const Frame& frame = frames[static_cast<size_t>(t - triangles.data())];
-    rays[i].origin = origin + frame.normal * surface_offset;
+    rays[i].origin = origin + frame.normal * caster.surfaceOffset(t->source);
     rays[i].direction = cosineDirection(frame, u[2], u[3]);
     if (!normals.empty()) normals[i] = frame.normal;
   }
@@ -101,7 +101,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
     Scratch& s = scratch.local();
     for (size_t i = c * kChunk; i < std::min(n, (c + 1) * kChunk); ++i) {
       const std::span<Ray> cast(s.rays.data(), rows.rays[i]);
-      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster.surfaceOffset(), cast, s.normals);
+      patchRays(scene, set, static_cast<uint32_t>(i), sobol, seed, caster, cast, s.normals);
       SkySums sky;
       std::array<uint32_t, kNarrowCells.size()> near{};
       for (size_t k = 0; k < cast.size(); ++k) {

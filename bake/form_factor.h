@@ -76,7 +76,7 @@ struct HitRows {
 // Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere. normals: of the surface
 // at each origin, or empty.
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-               float surface_offset, std::span<Ray> rays, std::span<Vec3> normals = {});
+               const RayCaster& caster, std::span<Ray> rays, std::span<Vec3> normals = {});
 
 // Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535: of a patch that is no lamp.
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,

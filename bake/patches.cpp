@@ -97,7 +97,6 @@ class PatchBuilder {
     if (largest / s >= static_cast<float>(kCellBias - 2))
       return Error{ErrorCode::kUsage, scene_.name, "", "the scene spans more than 2^20 cells from the origin",
                    "use a larger --patch-size"};
-    eps_ = std::max(1e-4, 4.0 * static_cast<double>(largest) * 0x1p-24 / static_cast<double>(s));
     if (auto cut = cutTriangles(); !cut) return cut.error();
     makeSides();
     if (sides_.empty()) {  // all is smaller than a cell: better coarse than not at all
@@ -137,7 +136,7 @@ class PatchBuilder {
       return Error{ErrorCode::kUsage, scene_.name, "",
                    "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
                    "use a larger --patch-size"};
-    const PieceCutter cutter(scene_, settings_.cell_m, eps_, caster_);
+    const PieceCutter cutter(scene_, settings_.cell_m, caster_);
     std::vector<std::vector<Piece>> parts(chunks);
     tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
       for (size_t t = c * kChunk; t < std::min(n, (c + 1) * kChunk); ++t) cutter.cut(static_cast<uint32_t>(t), parts[c]);
@@ -350,7 +349,6 @@ class PatchBuilder {
   const PatchSettings& settings_;
   const RayCaster* caster_;
   const LampGroups lamps_;
-  double eps_ = 1e-4;  // cells
   std::vector<Piece> pieces_;  // by triangle
   std::vector<Side> sides_;
   std::vector<uint32_t> labels_;

@@ -116,6 +116,11 @@ Point vectorArea(const Polygon& p) {
   return n;
 }
 
+// A stray object far away must not make the rest coarser: by the triangle's own coordinates.
+double PieceCutter::eps(uint32_t triangle) const {
+  return std::max(1e-4, 4.0 * static_cast<double>(largestCoordinate(scene_, triangle)) * 0x1p-24 / static_cast<double>(cell_m_));
+}
+
 void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
   Polygon corners;
   for (const uint32_t v : scene_.triangles[triangle].v) {
@@ -124,7 +129,7 @@ void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
     corners.push_back({static_cast<double>(p.x) / s, static_cast<double>(p.y) / s, static_cast<double>(p.z) / s});
   }
   const size_t first = out.size();
-  for (auto& [cell, polygon] : clipToGrid(corners, 1, eps_)) divide({cell, 0, cell, triangle, std::move(polygon)}, out);
+  for (auto& [cell, polygon] : clipToGrid(corners, 1, eps(triangle))) divide({cell, 0, cell, triangle, std::move(polygon)}, out);
   std::sort(out.begin() + static_cast<ptrdiff_t>(first), out.end(),
             [](const Piece& a, const Piece& b) { return std::tie(a.depth, a.cube) < std::tie(b.depth, b.cube); });
 }
@@ -147,7 +152,7 @@ void PieceCutter::divide(Piece piece, std::vector<Piece>& out) const {
   }
   const size_t first = out.size();
   const int depth = piece.depth + 1;
-  for (auto& [cube, polygon] : clipToGrid(piece.polygon, std::ldexp(1.0, depth), eps_))
+  for (auto& [cube, polygon] : clipToGrid(piece.polygon, std::ldexp(1.0, depth), eps(piece.triangle)))
     divide({piece.cell, depth, cube, piece.triangle, std::move(polygon)}, out);
   const bool alike = std::all_of(out.begin() + static_cast<ptrdiff_t>(first), out.end(), [&](const Piece& part) {
     return std::equal(part.enclosure, part.enclosure + 2, out[first].enclosure);
@@ -195,7 +200,7 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
       continue;
     }
     ++cast;
-    const Ray ray{origin + frame.normal * caster_->surfaceOffset(), cosineDirection(frame, u[2], u[3])};
+    const Ray ray{origin + frame.normal * caster_->surfaceOffset(piece.triangle), cosineDirection(frame, u[2], u[3])};
     const Hit hit = caster_->nearest(ray, kNear * cell_m_);
     if (hit.triangle == kNone) continue;
     // Backs do not count: what lies inside a solid is sorted out origin by origin (form_factor.h).
@@ -216,7 +221,7 @@ PieceCutter::Sight PieceCutter::look(const Piece& piece, bool back) const {
 // Another surface lies on it, nearer than rays start: a picture on its wall. They would start in front of that and see all the
 // same, while nothing sees where they come from.
 bool PieceCutter::isCovered(uint32_t triangle, Vec3 point, Vec3 normal) const {
-  const float above = caster_->surfaceOffset();
+  const float above = caster_->surfaceOffset(triangle);
   const Hit hit = caster_->nearest({point + normal * above, normal * -1.0f}, kTouch * above);
   return hit.triangle != kNone && hit.triangle != triangle &&
          (hit.front || scene_.materials[scene_.triangles[hit.triangle].material].double_sided);
@@ -233,7 +238,8 @@ bool PieceCutter::getsOut(Ray ray, uint64_t seed) const {
     if (!hit.front && !material.double_sided) return false;
     const Vec3 a = scene_.positions[t.v[0]], n = normalized(cross(scene_.positions[t.v[1]] - a, scene_.positions[t.v[2]] - a));
     const Frame frame = frameOf(hit.front ? n : n * -1.0f);
-    ray = {hit.point + frame.normal * caster_->surfaceOffset(),
+    const Vec3 on_plane = hit.point - n * dot(hit.point - a, n);  // a ray that comes from afar is rounded more than the triangle
+    ray = {on_plane + frame.normal * caster_->surfaceOffset(hit.triangle),
            cosineDirection(frame, uniform(seed + 2 * bounce), uniform(seed + 2 * bounce + 1))};
   }
   return false;

@@ -48,14 +48,14 @@ struct Piece {
 
 class PieceCutter {
  public:
-  // caster: null where all counts as open. eps: what counts as rounding, cells. All of them outlive the cutter.
-  PieceCutter(const Scene& scene, float cell_m, double eps, const RayCaster* caster)
-      : scene_(scene), caster_(caster), cell_m_(cell_m), eps_(eps) {}
+  // caster: null where all counts as open. Scene and caster outlive the cutter.
+  PieceCutter(const Scene& scene, float cell_m, const RayCaster* caster) : scene_(scene), caster_(caster), cell_m_(cell_m) {}
   // Appends a triangle's pieces, by (depth, cube); at least one. Thread-safe.
   void cut(uint32_t triangle, std::vector<Piece>& out) const;
 
  private:
   static constexpr uint32_t kMostProbes = 32;  // rays that tell how enclosed a piece is
+  double eps(uint32_t triangle) const;  // what counts as rounding of its coordinates, cells
   void divide(Piece piece, std::vector<Piece>& out) const;
   struct Sight {
     Enclosure enclosure;
@@ -68,7 +68,6 @@ class PieceCutter {
   const Scene& scene_;
   const RayCaster* caster_;
   float cell_m_;
-  double eps_;
   SobolTable points_{kMostProbes};
 };
 

@@ -36,7 +36,6 @@ struct RayCaster::State {
   RTCScene embree = nullptr;
   std::vector<uint32_t> source[2];  // geometry (0 opaque, 1 cutout) and primitive -> scene triangle
   std::vector<Vec3> normals;        // per scene triangle, not normalised
-  float offset = 0;
   std::string error;
 
   ~State() {
@@ -77,17 +76,13 @@ Result<RayCaster> RayCaster::create(const Scene& scene) {
   // Robust: a ray along the edge that two triangles share must hit one of them; a miss would be a leak of sky.
   rtcSetSceneFlags(state->embree, RTC_SCENE_FLAG_ROBUST);
   rtcSetSceneBuildQuality(state->embree, RTC_BUILD_QUALITY_MEDIUM);
-  float largest = 0;
   state->normals.resize(scene.triangles.size());
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto& v = scene.triangles[t].v;
     const Vec3 a = scene.positions[v[0]], b = scene.positions[v[1]], c = scene.positions[v[2]];
     state->normals[t] = cross(b - a, c - a);
-    for (const Vec3& p : {a, b, c})
-      for (int k = 0; k < 3; ++k) largest = std::max(largest, std::abs(p[k]));
     state->source[scene.materials[scene.triangles[t].material].cutout ? 1 : 0].push_back(t);
   }
-  state->offset = largest * 3e-6f;
   for (unsigned g = 0; g < 2; ++g) {
     const auto& source = state->source[g];
     if (source.empty()) continue;
@@ -143,7 +138,10 @@ bool RayCaster::occluded(const Ray& ray, float distance_m) const {
   return r.tfar < 0;
 }
 
-float RayCaster::surfaceOffset() const { return state_->offset; }
+float RayCaster::surfaceOffset(uint32_t triangle) const {
+  constexpr float kShare = 3e-6f;
+  return kShare * largestCoordinate(*state_->scene, triangle);
+}
 
 uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray, std::numeric_limits<float>::infinity()).hit.primID; }
 

@@ -28,8 +28,9 @@ class RayCaster {
   // Thread-safe. Rays pass through the holes of cutout materials.
   Hit nearest(const Ray& ray, float within_m = std::numeric_limits<float>::infinity()) const;
   bool occluded(const Ray& ray, float distance_m) const;
-  // How far to lift an origin off its surface so that rounding cannot put it behind, m.
-  float surfaceOffset() const;
+  // How far to lift an origin off this triangle so that rounding cannot put it behind, m: some 25 units in the last place of the
+  // triangle's own largest coordinate, whatever else is in the scene.
+  float surfaceOffset(uint32_t triangle) const;
   // Just rtcIntersect1, for measuring what the machine can do: the hit's primitive number or kNone.
   uint32_t bareIntersect(const Ray& ray) const;
 

@@ -45,6 +45,13 @@ Vec2 interpolate(const std::vector<Vec2>& uv, const Triangle& t, float b, float 
 
 }  // namespace
 
+float largestCoordinate(const Scene& scene, uint32_t t) {
+  float largest = 0;
+  for (const uint32_t v : scene.triangles[t].v)
+    for (int a = 0; a < 3; ++a) largest = std::max(largest, std::abs(scene.positions[v][a]));
+  return largest;
+}
+
 float triangleArea(const Scene& scene, uint32_t t) {
   const auto& v = scene.triangles[t].v;
   const Vec3 a = scene.positions[v[0]];

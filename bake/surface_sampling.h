@@ -4,6 +4,8 @@
 
 namespace ff::bake {
 
+// Of a triangle's corners, m: what rounding of a point on it is in proportion to.
+float largestCoordinate(const Scene& scene, uint32_t t);
 float triangleArea(const Scene& scene, uint32_t t);  // m2
 // Whether a cutout triangle lets a ray through at a point; b, c: barycentric weights of corners 1 and 2.
 bool isHole(const Scene& scene, uint32_t t, float b, float c);

@@ -65,7 +65,7 @@ double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaste
   const size_t batch = std::min<size_t>(set.patches.size(), 512), stride = set.patches.size() / batch;
   std::vector<Ray> all(batch * rays);
   tbb::parallel_for(size_t{0}, batch, [&](size_t b) {
-    patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster.surfaceOffset(),
+    patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster,
               std::span(all).subspan(b * rays, rays));
   });
   std::vector<double> speeds;

@@ -82,7 +82,7 @@ std::vector<double> sunOnPatches(const PatchSet& set, const RayCaster& caster) {
   for (size_t i = 0; i < sun.size(); ++i) {
     const Patch& p = set.patches[i];
     const float c = dot(p.normal, to_sun);
-    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset()), to_sun}, 1e9f))
+    if (c > 0 && !caster.occluded({p.centroid + p.normal * (10 * caster.surfaceOffset(set.triangles[p.first_triangle].source)), to_sun}, 1e9f))
       sun[i] = 10.0 * static_cast<double>(c);
   }
   return sun;
