@@ -26,7 +26,7 @@ struct Image {
 
 struct Material {
   std::string name;
-  std::string lamp_group;        // what is switched together if it emits; empty: the material's name
+  std::string lamp_group{};      // what is switched together if it emits; empty: the material's name
   Vec3 base_color{1, 1, 1};      // linear factor
   float alpha = 1;               // factor
   float metallic = 1;            // how much of the reflection is a mirror's; see PatchSettings::metals
