@@ -3,6 +3,7 @@
 #include "runtime/full_solve.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "runtime/worker_pool.h"
@@ -16,12 +17,26 @@ struct Rows {
   std::vector<uint32_t> columns;
   std::vector<uint16_t> counts;
   std::vector<double> reflectance;  // 3 per patch: albedo / Q
+  std::vector<uint32_t> quanta;     // Q
+
+  // Sum over a row's entries of count times value, by channel.
+  std::array<double, 3> gather(uint32_t row, std::span<const double> values) const {
+    std::array<double, 3> sum{};
+    for (uint64_t k = start[row]; k < start[row + 1]; ++k) {
+      const double* b = &values[size_t{3} * columns[k]];
+      const double count = counts[k];
+      for (size_t c = 0; c < 3; ++c) sum[c] += count * b[c];
+    }
+    return sum;
+  }
 };
 
 void append(const formats::World& world, const formats::Strip& strip, Rows& rows) {
-  for (const formats::Node& node : strip.nodes)
+  for (const formats::Node& node : strip.nodes) {
+    rows.quanta.push_back(node.quanta);
     for (int c = 0; c < 3; ++c)
       rows.reflectance.push_back(node.quanta ? static_cast<double>(node.albedo[c]) / node.quanta : 0.0);
+  }
   std::vector<uint64_t> cursor(strip.nodes.size() + 1, 0);
   for (const uint8_t row : strip.rows) ++cursor[row + 1u];
   const uint64_t base = rows.columns.size();
@@ -74,12 +89,7 @@ Result<FullSolution> solveFullWorld(const formats::World& world, std::span<const
       Extremes found;
       const uint32_t end = std::min(patches, (part + 1) * kPartRows);
       for (uint32_t row = part * kPartRows; row < end; ++row) {
-        double sum[3] = {0, 0, 0};
-        for (uint64_t k = rows.start[row]; k < rows.start[row + 1]; ++k) {
-          const double* b = &from[size_t{3} * rows.columns[k]];
-          const double count = rows.counts[k];
-          for (int c = 0; c < 3; ++c) sum[c] += count * b[c];
-        }
+        const std::array<double, 3> sum = rows.gather(row, from);
         for (size_t c = 0; c < 3; ++c) {
           const size_t at = size_t{3} * row + c;
           to[at] = source[at] + rows.reflectance[at] * sum[c];
@@ -96,6 +106,8 @@ Result<FullSolution> solveFullWorld(const formats::World& world, std::span<const
     solution.last_change = all.largest > 0 ? all.change / all.largest : 0;
     if (solution.last_change <= settings.tolerance) break;
   }
+  for (uint32_t row = 0; row < patches; ++row)
+    for (const double sum : rows.gather(row, from)) solution.gathered.push_back(rows.quanta[row] ? sum / rows.quanta[row] : 0.0);
   solution.radiosity = std::move(from);
   return solution;
 }

@@ -15,6 +15,7 @@ struct FullSolveSettings {
 
 struct FullSolution {
   std::vector<double> radiosity;  // 3 per patch, W/m2
+  std::vector<double> gathered;   // F B: what arrives through the rows, 3 per patch, W/m2
   int iterations = 0;
   double last_change = 0;
 };

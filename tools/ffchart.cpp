@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "tools/chart/answer.h"
+#include "tools/chart/eyes.h"
 #include "tools/chart/page/json_report.h"
 #include "tools/chart/page/page.h"
 #include "tools/chart/page/setting_charts.h"
@@ -16,6 +17,7 @@
 #include "tools/chart/sweep/block_size.h"
 #include "tools/chart/sweep/error_sources.h"
 #include "tools/chart/sweep/heat_picture.h"
+#include "tools/chart/sweep/seen.h"
 #include "tools/chart/sweep/sweep.h"
 #include "tools/chart/sweep/temporal.h"
 #include "tools/version.h"
@@ -27,7 +29,7 @@ using namespace ff;
 
 struct Options {
   chart::SweepOptions sweep;
-  std::string camera, out, command, paper_scene;
+  std::string camera, eyes, out, command, paper_scene;
   double target_percent = 3, budget_ms = 1, budget_mib = 256;
   bool stability = false, paper = false, keep_settings = false, json = false;
 };
@@ -146,6 +148,22 @@ Result<void> addLag(chart::Report& r, const Options& o, chart::Sweep& sweep) {
   return {};
 }
 
+// What eyes see of the default, in every light.
+Result<void> addSeen(chart::Report& r, const Options& o, chart::Sweep& sweep) {
+  say("what is seen");
+  const auto eyes = chart::eyesOf(o.eyes == "found" ? "" : o.eyes, sweep.world->world());
+  if (!eyes) return eyes.error();
+  const chart::SeenSettings settings{.paths = o.sweep.quick ? 2'000'000u : 12'000'000u, .seed = o.sweep.seed};
+  const chart::SeenPixels pixels = chart::lookAround(sweep.world->tracer(), *eyes, settings);
+  for (const chart::Lighting& light : sweep.lights) {
+    auto score = chart::scoreSeen(*sweep.world, pixels, light, sweep.standard, settings);
+    if (!score) return score.error();
+    r.seen.push_back(std::move(*score));
+  }
+  r.tables.push_back(chart::tableOf(r.seen));
+  return {};
+}
+
 Result<chart::JsonPage> chartWorld(Options& o) {
   view::CameraPath path;
   if (!o.camera.empty()) {
@@ -164,6 +182,8 @@ Result<chart::JsonPage> chartWorld(Options& o) {
   auto answered = answer(report, o);
   if (!answered) return answered.error();
   report.charts = chart::settingCharts(report);
+  if (!o.eyes.empty())
+    if (auto scored = addSeen(report, o, *sweep); !scored) return scored.error();
   if (auto followed = addLag(report, o, *sweep); !followed) return followed.error();
   say("pictures of the worst places");
   auto pictures = chart::worstPlaces(*sweep->world, sweep->places, sweep->lights, sweep->standard,
@@ -215,6 +235,7 @@ int main(int argc, char** argv) {
   app.add_option("--patch-budget", o.sweep.patch_budget, "patches of the default bake")->capture_default_str();
   app.add_option("--leave-out", o.sweep.leave_out, "material whose triangles take no part, as in ffbake (repeatable)");
   app.add_option("--camera", o.camera, "camera path (JSON) with sun and sky; without it observers are spread over the surface");
+  app.add_option("--eyes", o.eyes, "score what is seen as well, from eyes along a camera path inside the rooms (JSON), or 'found'");
   auto* observers = app.add_option("--observers", o.sweep.observers, "how many")->check(CLI::Range(2, 1000))->capture_default_str();
   app.add_option("--target-error", o.target_percent, "name the cheapest setting with at most this error, %")->capture_default_str();
   app.add_option("--budget-ms", o.budget_ms, "name the most accurate setting that relights in this time ...")->capture_default_str();

@@ -40,6 +40,7 @@ TEST(JsonDocument, HasEveryFigureInFullAndNullWhereThereIsNone) {
   r.settings = {measured()};
   r.sources = {{"sun", 3, {{"cut", {0.01, 0.002}, "streamed against full"}}}};
   r.facts = {{"seed", "1"}};
+  r.seen = {{.light = "sky", .full_solve = {.light = "sky", .energy = {0.4, 0.1}}, .own_median = 0.03, .not_drawn = 0.25, .eyes = 8, .pixels = 512, .patches = 495}};
   const json page = json::parse(jsonDocument("1.2", "ffchart a.glb", {{"accuracy", "out/accuracy.html", r}})).at("accuracy");
   EXPECT_EQ(page.at("page"), "out/accuracy.html");
   EXPECT_EQ(page.at("facts").at("seed"), "1");
@@ -57,6 +58,14 @@ TEST(JsonDocument, HasEveryFigureInFullAndNullWhereThereIsNone) {
   EXPECT_EQ(s.at("accuracy").at(0).at("rel_l2").get<double>(), 0.1);
   EXPECT_TRUE(s.at("accuracy").at(0).at("rel_l2_error").is_null());
   EXPECT_TRUE(s.at("accuracy").at(1).at("rel_l2_error").is_null());
+  const json& seen = page.at("seen").at(0);
+  EXPECT_EQ(seen.at("light"), "sky");
+  EXPECT_EQ(seen.at("pixels"), 512);
+  EXPECT_EQ(seen.at("not_drawn").get<double>(), 0.25);
+  EXPECT_EQ(seen.at("own_median").get<double>(), 0.03);
+  EXPECT_EQ(seen.at("full_solve").at("energy").get<double>(), 0.4);
+  EXPECT_TRUE(seen.at("streamed").at("energy").is_null());
+  EXPECT_TRUE(seen.at("tracer_noise").is_null());
   const json& source = page.at("sources").at(0).at("sources").at(0);
   EXPECT_EQ(source.at("rel_l2").get<double>(), 0.01);
   EXPECT_EQ(source.at("rel_l2_error").get<double>(), 0.002);

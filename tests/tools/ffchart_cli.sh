@@ -9,12 +9,12 @@ expect() {  # expect CODE command...
   "$@" >out.txt 2>err.txt || got=$?
   [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(tail -n 3 err.txt)"
 }
-"$ffscene" town --patches 2k -o town.glb >/dev/null
+"$ffscene" town --patches 2k -o town.glb --camera town.json >/dev/null
 expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --target-error 50
 grep -q '^cheapest with error <= 50 %: ' out.txt || fail "no answer: $(cat out.txt)"
 for f in accuracy.html accuracy.csv speed-accuracy-sun-and-sky.svg speed-accuracy-lamps.svg; do [ -s "a/$f" ] || fail "no a/$f"; done
 ls a/worlds/*.settings.json >/dev/null || fail "the answer is not beside the world"
-expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings --json
+expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings --eyes town.json --json
 grep -q '^cheapest with error <= 3 %: ' err.txt || fail "people are not told on stderr"
 python3 - <<'PY' || fail "the JSON is wrong, or not what the table says"
 import csv, json
@@ -55,6 +55,12 @@ assert rooms and 0 < rooms[0]["rel_l2_error"] < rooms[0]["rel_l2"], "the lit roo
 assert "for one room lit at " in page["facts"]["error"], page["facts"]["error"]
 for answer in page["answers"]: assert answer["setting"] is None or answer["setting"] in settings
 assert {"speed-accuracy-sun-and-sky", "speed-accuracy-lamps"} <= {c["id"] for c in page["charts"]}
+seen = {s["light"]: s for s in page["seen"]}
+assert {"sun and sky", "lamps"} <= set(seen), seen
+for s in seen.values():  # patches of a metre in a town of lanes: shadow edges cross most of them
+    assert s["eyes"] > 0 and s["pixels"] > 100 and s["not_drawn"] < 0.01, s
+    assert 0 < s["streamed"]["median"] < 0.3 and abs(s["streamed"]["energy"]) < 0.3 and s["full_solve"]["rel_l2"] > 0, s
+assert any(t["id"] == "seen" for t in page["tables"])
 assert page["tables"] and page["pictures"] and page["facts"]["seed"] == "1"
 PY
 python3 - <<'PY' || fail "the table is wrong"

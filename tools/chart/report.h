@@ -116,6 +116,19 @@ struct Illustration {
   std::string file{}, title{}, note{};
 };
 
+// How far the light is from the truth where eyes see it, in one light: each of many pixels compares the irradiance that its
+// patch is given with the truth over the points of that patch that are seen, so that what a mean over the whole patch
+// hides (half of it lies in the sun behind a wall) is found.
+struct SeenScore {
+  std::string light{};
+  Accuracy streamed{};                 // the default's cut at each eye; energy: the bias
+  Accuracy full_solve{};               // the full solve: what is left when the run time is exact
+  double own_median = kNotMeasured;    // streamed: of a pixel's error over its own truth, however dark, the tracer's noise included
+  double tracer_noise = kNotMeasured;  // relative L2, taken off; in the medians it is not
+  double not_drawn = 0;                // share of the pixels whose surface has no patch, taken as unlit
+  size_t eyes = 0, pixels = 0, patches = 0;
+};
+
 // One page.
 struct Report {
   std::string title, lead;             // lead: a paragraph, plain text: the answer first
@@ -124,6 +137,7 @@ struct Report {
   std::vector<Chart> charts;
   std::vector<Table> tables;           // in words, whatever figures they come from
   std::vector<ErrorSources> sources;   // by light
+  std::vector<SeenScore> seen;         // by light; empty: no eyes
   std::vector<Measured> cases;         // where methods break
   std::vector<Illustration> pictures;
 };

@@ -35,6 +35,7 @@ Json fieldsOf(const Value& value) {
 Json jsonOf(const Setting& s);
 Json jsonOf(const ErrorSources& split);
 Json jsonOf(const ErrorSources::Source& s);
+Json jsonOf(const SeenScore& s);
 Json jsonOf(const Measured& m);
 Json jsonOf(const Measured::Point& p);
 Json jsonOf(const Chart& c);
@@ -83,6 +84,17 @@ Json jsonOf(const ErrorSources::Source& s) {
 
 Json jsonOf(const ErrorSources& split) {
   return {{"light", split.light}, {"places", split.places}, {"sources", listOf(split.sources)}};
+}
+
+// energy of both is the bias.
+Json jsonOf(const SeenScore& s) {
+  Json json = {{"light", s.light}, {"eyes", s.eyes}, {"pixels", s.pixels}, {"patches", s.patches}};
+  json["not_drawn"] = numberOrNull(s.not_drawn);
+  json["own_median"] = numberOrNull(s.own_median);
+  json["tracer_noise"] = numberOrNull(s.tracer_noise);
+  json["streamed"] = fieldsOf(s.streamed);
+  json["full_solve"] = fieldsOf(s.full_solve);
+  return json;
 }
 
 Json jsonOf(const Measured::Point& p) { return {{"at", numberOrNull(p.at)}, {"error", numberOrNull(p.error)}}; }
@@ -136,6 +148,7 @@ Json jsonOf(const JsonPage& page) {
   for (const Answered& a : page.answers) json["answers"].push_back(jsonOf(a, r));
   json["settings"] = listOf(r.settings);
   json["sources"] = listOf(r.sources);
+  json["seen"] = listOf(r.seen);
   json["cases"] = listOf(r.cases);
   json["tables"] = listOf(r.tables);
   json["charts"] = listOf(r.charts);

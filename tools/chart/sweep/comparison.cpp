@@ -58,34 +58,46 @@ Figure medianOf(std::vector<double> samples) {
   return {quantile(samples, 0.5), 0.5 * (quantile(samples, 0.75) - quantile(samples, 0.25))};
 }
 
+void Comparison::addPlace(std::span<const Compared> samples) {
+  Place place;
+  for (const Compared& s : samples) {
+    double difference = 0, length = 0;
+    for (size_t c = 0; c < 3; ++c) {
+      const double x = s.got[c], t = s.truth[c], noise = s.noise[c], full = s.full[c], w = s.weight;
+      place.traced += w * ((x - t) * (x - t) - noise * noise);
+      place.full += w * (x - full) * (x - full);
+      place.bake += w * ((full - t) * (full - t) - noise * noise);
+      place.traced_truth += w * (t * t - noise * noise);
+      place.full_truth += w * full * full;
+      place.noise += w * noise * noise;
+      place.power += w * x;
+      place.true_power += w * t;
+      difference += (x - t) * (x - t);
+      length += t * t;
+    }
+    lengths_.push_back({std::sqrt(difference), std::sqrt(length)});
+  }
+  places_.push_back(place);
+}
+
 void Comparison::addPlace(const MeasuredWorld& world, const LitWorld& light, std::span<const uint32_t> numbers,
                           std::span<const double> got) {
-  Place place;
+  std::vector<Compared> samples;
   for (size_t k = 0; k < numbers.size(); ++k) {
     const PatchTruth& truth = light.traced[numbers[k]];
     if (truth.buried) continue;
     const uint32_t patch = world.lookedAt()[numbers[k]];
-    const auto area = static_cast<double>(world.patches()[patch].area_m2);
-    double difference = 0, length = 0;
+    Compared s{.weight = static_cast<double>(world.patches()[patch].area_m2)};
     for (int c = 0; c < 3; ++c) {
-      const size_t channel = static_cast<size_t>(c);
-      const double x = got[3 * k + channel], t = static_cast<double>(truth.reflected[c]),
-                   noise = static_cast<double>(truth.error[c]),
-                   full = light.full[3 * size_t{patch} + channel] - static_cast<double>(light.lamps.mean[0][patch][c]);
-      place.traced += area * ((x - t) * (x - t) - noise * noise);
-      place.full += area * (x - full) * (x - full);
-      place.bake += area * ((full - t) * (full - t) - noise * noise);
-      place.traced_truth += area * (t * t - noise * noise);
-      place.full_truth += area * full * full;
-      place.noise += area * noise * noise;
-      place.power += area * x;
-      place.true_power += area * t;
-      difference += (x - t) * (x - t);
-      length += t * t;
+      const auto channel = static_cast<size_t>(c);
+      s.got[channel] = got[3 * k + channel];
+      s.truth[channel] = static_cast<double>(truth.reflected[c]);
+      s.noise[channel] = static_cast<double>(truth.error[c]);
+      s.full[channel] = light.full[3 * size_t{patch} + channel] - static_cast<double>(light.lamps.mean[0][patch][c]);
     }
-    patches_.push_back({std::sqrt(difference), std::sqrt(length)});
+    samples.push_back(s);
   }
-  places_.push_back(place);
+  addPlace(samples);
 }
 
 Accuracy Comparison::accuracy(const std::string& light) const {
@@ -103,10 +115,10 @@ Accuracy Comparison::accuracy(const std::string& light) const {
   const auto gain = [&](size_t without) { return ratio(power, true_power, without) - 1; };
   a.energy = {gain(kAll), hangsOnOne(true_power) ? kNotMeasured : jackknife(places_.size(), gain)};
   double mean = 0;
-  for (const Patch& p : patches_) mean += p.truth / static_cast<double>(patches_.size());
+  for (const Length& l : lengths_) mean += l.truth / static_cast<double>(lengths_.size());
   std::vector<double> errors;
-  for (const Patch& p : patches_)
-    if (mean > 0) errors.push_back(p.difference / std::max(p.truth, mean));
+  for (const Length& l : lengths_)
+    if (mean > 0) errors.push_back(l.difference / std::max(l.truth, mean));
   std::sort(errors.begin(), errors.end());
   // Of a quantile, the error of its rank: half the distance between the values one standard deviation of it apart.
   const auto at = [&](double q) {

@@ -1,10 +1,11 @@
 // Errors of light over patches and places, with their standard errors.
 //
-// Relative L2 is ||X - T|| / ||T|| over patches and channels, each patch by its area: the norm of functions on
+// Relative L2 is ||X - T|| / ||T|| over samples and channels, patches by their area: the norm of functions on
 // surfaces, which does not change when a patch is cut in two. The tracer's noise adds its variance to both norms on
 // average, so it is taken off both. Standard errors are the jackknife's over places (Efron, Tibshirani. An Introduction
 // to the Bootstrap. 1993, chapter 11).
 #pragma once
+#include <array>
 #include <span>
 #include <string>
 #include <vector>
@@ -13,8 +14,15 @@
 
 namespace ff::chart {
 
+// One sample of a result beside the truth, by channel.
+struct Compared {
+  double weight = 1;  // in sums: the area of a patch, the pixels that show it
+  std::array<double, 3> got{}, truth{}, noise{}, full{};  // noise: the truth's standard error; full: of the full solve
+};
+
 class Comparison {
  public:
+  void addPlace(std::span<const Compared> samples);
   // got: reflected radiosity, 3 per patch of `numbers` (numbers in world.lookedAt()).
   void addPlace(const MeasuredWorld& world, const LitWorld& light, std::span<const uint32_t> numbers,
                 std::span<const double> got);
@@ -30,13 +38,13 @@ class Comparison {
   struct Place {
     double traced = 0, full = 0, bake = 0;  // squared differences: got - traced, got - full, full - traced
     double traced_truth = 0, full_truth = 0, noise = 0;
-    double power = 0, true_power = 0;       // sums of A B
+    double power = 0, true_power = 0;       // sums of weight times value
   };
-  struct Patch {
-    double difference, truth;  // lengths over the channels
+  struct Length {
+    double difference, truth;  // over the channels
   };
   std::vector<Place> places_;
-  std::vector<Patch> patches_;
+  std::vector<Length> lengths_;  // of all samples
 };
 
 // sqrt(numerator / denominator) over all places, with its jackknife error: not known where one place has nearly all of

@@ -78,7 +78,8 @@ LitWorld MeasuredWorld::direct(const Lighting& light, uint32_t shadow_rays) cons
   for (size_t p = 0; p < nodes_.size(); ++p) {
     const formats::Node& node = nodes_[p];
     lamps.push_back(node.emission * light.lampsAt(node.centroid));
-    const Vec3 m = lamps.back() + node.albedo * (sun[p] + runtime::skyIrradiance(light.sky, node));
+    made.direct.push_back(sun[p] + runtime::skyIrradiance(light.sky, node));
+    const Vec3 m = lamps.back() + node.albedo * made.direct.back();
     for (int c = 0; c < 3; ++c) made.source.push_back(static_cast<double>(m[c]));
   }
   made.sun = runtime::aggregateUp(*world_, areas_m2_, sun);
@@ -93,6 +94,9 @@ Result<const LitWorld*> MeasuredWorld::lit(const Lighting& light, uint32_t shado
     auto full = runtime::solveFullWorld(*world_, made->source);
     if (!full) return full.error();
     made->full = std::move(full->radiosity);
+    made->irradiance = std::move(full->gathered);
+    for (size_t k = 0; k < made->irradiance.size(); ++k)
+      made->irradiance[k] += static_cast<double>(made->direct[k / 3][static_cast<int>(k % 3)]);
     kept = std::move(made);
   }
   if (trace && kept->traced.empty()) kept->traced = tracer_->trace(looked_at_, light, *trace);

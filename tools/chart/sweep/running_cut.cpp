@@ -88,35 +88,36 @@ Result<int> RunningCut::settle() {
   return converge(*solver_, {.fewest = isDense(knobs_.method) ? 2 : Convergence{}.fewest}, radiosity_, before_);
 }
 
-Result<std::vector<double>> RunningCut::reflected(const LitWorld& light, std::span<const uint32_t> patches) {
+Result<std::vector<double>> RunningCut::irradiance(const LitWorld& light, std::span<const uint32_t> patches) {
   const LocalMatrix& m = assembler_->matrix();
   radiosity_.resize(m.slots());
   if (auto r = solver_->radiosity(radiosity_); !r) return r.error();
   std::vector<double> out;
   out.reserve(3 * patches.size());
   for (const uint32_t patch : patches) {
-    const formats::Node& own = world_->patches()[patch];
     uint32_t slot = m.slotOf(0, patch), node = patch;
-    Vec3 b;
-    if (slot != kNoSlot) {
-      b = Vec3{radiosity_[slot].x, radiosity_[slot].y, radiosity_[slot].z} - light.lamps.mean[0][patch];
-    } else {
-      for (uint32_t level = 0; slot == kNoSlot && level + 1 < world_->world().levels().size(); ++level) {
-        node = world_->world().parent(level, node);
-        slot = m.slotOf(level + 1, node);
-      }
-      // Irradiance from surfaces: what is left of the ancestor's radiosity, by its albedo. A constant far light has no
-      // ancestors: such a patch gets its direct light alone.
-      b = own.albedo * (light.sun.mean[0][patch] + skyIrradiance(light.light.sky, own));
-      if (slot != kNoSlot) {
-        const Vec4 all = radiosity_[slot], direct = source_[slot], rho = m.albedo[slot];
-        const auto irradiance = [](float x, float y, float r) { return r > 0 ? (x - y) / r : 0.0f; };
-        b += own.albedo * Vec3{irradiance(all.x, direct.x, rho.x), irradiance(all.y, direct.y, rho.y),
-                               irradiance(all.z, direct.z, rho.z)};
-      }
+    for (uint32_t level = 0; slot == kNoSlot && level + 1 < world_->world().levels().size(); ++level) {
+      node = world_->world().parent(level, node);
+      slot = m.slotOf(level + 1, node);
     }
-    for (int c = 0; c < 3; ++c) out.push_back(static_cast<double>(b[c]));
+    // A constant far light has no ancestors: such a patch gets its direct light alone.
+    const Vec4 all = slot != kNoSlot ? radiosity_[slot] : Vec4{}, source = slot != kNoSlot ? source_[slot] : Vec4{},
+               rho = slot != kNoSlot ? m.albedo[slot] : Vec4{1, 1, 1, 0};
+    const float b[3] = {all.x, all.y, all.z}, own[3] = {source.x, source.y, source.z}, albedo[3] = {rho.x, rho.y, rho.z};
+    for (int c = 0; c < 3; ++c) {
+      const auto direct = static_cast<double>(light.direct[patch][c]);
+      if (albedo[c] > 0) out.push_back(direct + (static_cast<double>(b[c]) - static_cast<double>(own[c])) / static_cast<double>(albedo[c]));
+      else out.push_back(light.irradiance.empty() ? direct : light.irradiance[3 * size_t{patch} + static_cast<size_t>(c)]);
+    }
   }
+  return out;
+}
+
+Result<std::vector<double>> RunningCut::reflected(const LitWorld& light, std::span<const uint32_t> patches) {
+  auto out = irradiance(light, patches);
+  if (!out) return out;
+  for (size_t k = 0; k < out->size(); ++k)
+    (*out)[k] *= static_cast<double>(world_->patches()[patches[k / 3]].albedo[static_cast<int>(k % 3)]);
   return out;
 }
 

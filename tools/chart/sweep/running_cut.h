@@ -32,8 +32,11 @@ class RunningCut {
   // Steps of the solver as Updater::converge() takes them (runtime/converge.h); returns how many.
   Result<int> settle();
   Result<void> step(int k);
-  // Reflected radiosity of patches (level-0 node numbers), 3 each. One that is not active takes its nearest active
-  // ancestor's irradiance on its own albedo, as the viewer draws it.
+  // Irradiance of patches (level-0 node numbers), 3 each: direct light and, through surfaces, the radiosity of the slot by
+  // its albedo, of a patch that is not active that of its nearest active ancestor, as the viewer draws it. Of a black slot
+  // that is not known: the full solve's.
+  Result<std::vector<double>> irradiance(const LitWorld& light, std::span<const uint32_t> patches);
+  // Reflected radiosity: the same on the patches' own albedo.
   Result<std::vector<double>> reflected(const LitWorld& light, std::span<const uint32_t> patches);
 
   // Times `samples` frames whose light has changed, each beside one of the yardstick, so that whatever else the machine does

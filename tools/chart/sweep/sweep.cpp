@@ -3,11 +3,10 @@
 #include <fmt/core.h>
 
 #include <algorithm>
-#include <chrono>
 #include <filesystem>
-#include <fstream>
 
 #include "bake/gltf_import.h"
+#include "tools/chart/kept_bake.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/sweep/error_sources.h"
 #include "tools/chart/sweep/places.h"
@@ -15,8 +14,6 @@
 
 namespace ff::chart {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 constexpr uint32_t kTimedPlaces = 3;
 
@@ -93,17 +90,8 @@ std::string bakeName(const BakeKnobs& k, uint32_t patch_budget) {
   return fmt::format("{}_rays{}_quanta{}", size, k.rays, k.quanta);
 }
 
-struct Baked {
-  std::string path;
-  double seconds = kNotMeasured;
-};
-
-// A world of these knobs that lies in the folder already is taken, if it is of the same bake.
-Result<Baked> bakeAt(const SweepOptions& options, const bake::Scene& scene, const BakeKnobs& knobs, const Say& say) {
-  Baked baked;
-  std::filesystem::create_directories(options.folder);
+Result<KeptBake> bakeAt(const SweepOptions& options, const bake::Scene& scene, const BakeKnobs& knobs, const Say& say) {
   const std::string name = bakeName(knobs, options.patch_budget);
-  baked.path = (std::filesystem::path(options.folder) / (name + ".ffm")).string();
   bake::BakeSettings settings;
   settings.cell_m = knobs.cell_m;
   settings.patch_budget = options.patch_budget;
@@ -111,16 +99,8 @@ Result<Baked> bakeAt(const SweepOptions& options, const bake::Scene& scene, cons
   settings.quanta = knobs.quanta;
   settings.seed = options.seed;
   settings.leave_out = options.leave_out;
-  const std::string timed = baked.path + ".seconds";
-  if (const auto there = formats::World::open(baked.path))
-    if (there->info().bake_key == bake::bakeKey(scene, settings, knobs.cell_m > 0 ? knobs.cell_m : there->info().cell_m))
-      if (std::ifstream in(timed); in >> baked.seconds) return baked;
-  const auto start = Clock::now();
-  const auto made = bake::bakeWorld(scene, settings, baked.path);
-  if (!made) return made.error();
-  baked.seconds = std::chrono::duration<double>(Clock::now() - start).count();
-  std::ofstream(timed) << baked.seconds;
-  say(fmt::format("baked {} in {:.1f} s", name, baked.seconds));
+  auto baked = keptBake(scene, settings, (std::filesystem::path(options.folder) / (name + ".ffm")).string());
+  if (baked && baked->made) say(fmt::format("baked {} in {:.1f} s", name, baked->seconds));
   return baked;
 }
 
@@ -249,7 +229,7 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   auto scene = bake::importGltf(options.scene_path);
   if (!scene) return scene.error();
   sweep.scene = std::make_unique<const bake::Scene>(without(std::move(*scene), options.leave_out));
-  Baked standard{options.world_path, kNotMeasured};
+  KeptBake standard{options.world_path, kNotMeasured};
   if (standard.path.empty()) {
     auto baked = bakeAt(options, *sweep.scene, {.cell_m = options.cell_m}, say);
     if (!baked) return baked.error();

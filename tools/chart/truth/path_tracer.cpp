@@ -3,7 +3,6 @@
 #include <embree3/rtcore.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <cmath>
 #include <cstring>
@@ -12,6 +11,7 @@
 #include <string>
 #include <thread>
 
+#include "tools/chart/truth/sampling.h"
 #include "tools/chart/truth/scene_surface.h"
 
 namespace ff::chart {
@@ -20,49 +20,6 @@ namespace {
 constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kSureBounces = 3;    // before roulette
 constexpr int kMostBounces = 4096;  // a path in a closed white room ends by roulette long before
-
-// Vigna. An experimental exploration of Marsaglia's xorshift generators, scrambled. 2016 (splitmix64).
-class Random {
- public:
-  explicit Random(uint64_t seed) : state_(seed) {}
-  uint64_t bits() {
-    uint64_t z = state_ += 0x9e3779b97f4a7c15ull;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-    return z ^ (z >> 31);
-  }
-  float unit() { return static_cast<float>(bits() >> 40) * 0x1p-24f; }
-
- private:
-  uint64_t state_;
-};
-
-// Points that fill the unit cube in four dimensions evenly, shifted at random. Roberts. The Unreasonable Effectiveness
-// of Quasirandom Sequences. 2018; Cranley, Patterson. Randomization of Number Theoretic Methods. 1976.
-struct EvenPoints {
-  std::array<double, 4> shift;
-  explicit EvenPoints(Random& random) {
-    for (double& s : shift) s = static_cast<double>(random.bits() >> 11) * 0x1p-53;
-  }
-  std::array<float, 4> point(uint32_t i) const {
-    constexpr double g = 1.1673039782614187;  // root of g^5 = g + 1
-    constexpr double step[4] = {1 / g, 1 / (g * g), 1 / (g * g * g), 1 / (g * g * g * g)};
-    std::array<float, 4> p{};
-    for (size_t d = 0; d < 4; ++d) {
-      const double x = shift[d] + step[d] * (i + 1);
-      p[d] = std::min(static_cast<float>(x - std::floor(x)), 0x1.fffffep-1f);
-    }
-    return p;
-  }
-};
-
-// Malley's way: the unit disc lifted to the hemisphere.
-Vec3 cosineDirection(Vec3 normal, float u, float v) {
-  const Vec3 other = std::abs(normal.x) > 0.7f ? Vec3{0, 1, 0} : Vec3{1, 0, 0};
-  const Vec3 t = normalized(cross(normal, other)), b = cross(normal, t);
-  const float r = std::sqrt(u), angle = 2 * kPi * v;
-  return t * (r * std::cos(angle)) + b * (r * std::sin(angle)) + normal * std::sqrt(std::max(0.0f, 1 - u));
-}
 
 struct Facet {  // of the drawing geometry
   Vec3 a, ab, ac, normal;
@@ -89,6 +46,23 @@ struct LampChoice {
 struct Start {
   Vec3 point, normal, albedo;  // point: lifted off the surface
   bool found = false;
+};
+
+// Sums of a quantity by channel and batch of paths.
+struct BatchSums {
+  double of[3][kBatches] = {};
+  // A ratio: of a patch that is mostly buried, batches have unlike numbers of paths, some none. Cochran. Sampling
+  // Techniques. 1977, section 6.4.
+  void mean(int channel, const double (&counted)[kBatches], double total, float& mean, float& error) const {
+    const double(&x)[kBatches] = of[channel];
+    double sum = 0, squares = 0;
+    for (const double v : x) sum += v;
+    sum /= total;
+    for (uint32_t b = 0; b < kBatches; ++b) squares += (x[b] - sum * counted[b]) * (x[b] - sum * counted[b]);
+    mean = static_cast<float>(sum);
+    error = static_cast<float>(std::sqrt(squares * kBatches / (kBatches - 1)) / total);
+    if (std::count(std::begin(counted), std::end(counted), 0.0) == kBatches - 1) error = std::abs(mean);
+  }
 };
 
 }  // namespace
@@ -236,15 +210,13 @@ struct PathTracer::State {
     }
     return emitters;
   }
-  LampChoice chooseLamps(std::span<const Emitter> emitters, uint32_t patch) const {
+  // For receivers within `area_m2` around a place.
+  static LampChoice chooseLamps(std::span<const Emitter> emitters, Vec3 middle, float area_m2) {
     LampChoice choice;
-    const std::span<const Facet> own(facets.data() + facet_start[patch], facet_start[patch + 1] - facet_start[patch]);
-    if (own.empty()) return choice;
-    const Vec3 middle = own[own.size() / 2].a;
     float sum = 0;
     for (const Emitter& e : emitters) {
       const Vec3 d = e.a + (e.ab + e.ac) / 3 - middle;
-      sum += e.power / (dot(d, d) + own.back().cumulative_area + e.area_m2);
+      sum += e.power / (dot(d, d) + area_m2 + e.area_m2);
       choice.cumulative.push_back(sum);
     }
     return choice;
@@ -351,29 +323,33 @@ struct PathTracer::State {
     return true;
   }
 
-  PatchTruth tracePatch(uint32_t patch, const Lighting& light, std::span<const Emitter> emitters,
-                        std::span<const uint32_t> emitter_of, const TraceSettings& settings) const {
-    const Lamps lamps{emitters, emitter_of, chooseLamps(emitters, patch)};
-    const uint32_t per_batch = std::max(1u, (settings.paths + kBatches - 1) / kBatches);
-    double all[3][kBatches] = {}, direct[3][kBatches] = {}, sun[3] = {}, counted[kBatches] = {};
+  // The mean over paths; start(u) finds where the path at a place of the unit square begins. buried_count: paths that begin
+  // inside a solid are dark, not left out.
+  template <class StartAt>
+  PatchTruth meanOfPaths(uint32_t patch, uint32_t paths, uint64_t seed, const Lighting& light, const Lamps& lamps,
+                         bool buried_count, const StartAt& start_at) const {
+    const uint32_t per_batch = std::max(1u, (paths + kBatches - 1) / kBatches);
+    BatchSums all, direct, irradiance;
+    double sun[3] = {}, counted[kBatches] = {};
     uint64_t cast_rays = 0, found = 0, buried = 0;
     for (uint32_t b = 0; b < kBatches; ++b) {
-      Random random((settings.seed * 0x2545f4914f6cdd1dull + patch) * kBatches + b);
+      Random random((seed * 0x2545f4914f6cdd1dull + patch) * kBatches + b);
       const EvenPoints even(random);
       for (uint32_t i = 0; i < per_batch; ++i) {
         const auto u = even.point(i);
-        const Start from = start(patch, u[0], u[1]);
+        const Start from = start_at(u[0], u[1]);
         if (!from.found) continue;
         ++found;
         const Arrived e = path(from, cosineDirection(from.normal, u[2], u[3]), light, lamps, random, cast_rays);
-        if (e.buried) {
+        if (e.buried && !buried_count) {
           ++buried;
           continue;
         }
         ++counted[b];
         for (int c = 0; c < 3; ++c) {
-          all[c][b] += static_cast<double>(from.albedo[c] * e.all[c]);
-          direct[c][b] += static_cast<double>(from.albedo[c] * (e.direct[c] + e.sun[c]));
+          irradiance.of[c][b] += static_cast<double>(e.all[c]);
+          all.of[c][b] += static_cast<double>(from.albedo[c] * e.all[c]);
+          direct.of[c][b] += static_cast<double>(from.albedo[c] * (e.direct[c] + e.sun[c]));
           sun[c] += static_cast<double>(e.sun[c]);
         }
       }
@@ -382,23 +358,45 @@ struct PathTracer::State {
     truth.buried = found == buried;
     const auto total = static_cast<double>(found - buried);
     for (int c = 0; c < 3 && !truth.buried; ++c) {
-      // A ratio: of a patch that is mostly buried, batches have unlike numbers of paths, some none. Cochran. Sampling
-      // Techniques. 1977, section 6.4.
-      const auto summed = [&](const double (&x)[kBatches], float& mean, float& error) {
-        double sum = 0, squares = 0;
-        for (const double v : x) sum += v;
-        sum /= total;
-        for (uint32_t b = 0; b < kBatches; ++b) squares += (x[b] - sum * counted[b]) * (x[b] - sum * counted[b]);
-        mean = static_cast<float>(sum);
-        error = static_cast<float>(std::sqrt(squares * kBatches / (kBatches - 1)) / total);
-        if (std::count(std::begin(counted), std::end(counted), 0.0) == kBatches - 1) error = std::abs(mean);
-      };
-      summed(all[c], truth.reflected[c], truth.error[c]);
-      summed(direct[c], truth.direct[c], truth.direct_error[c]);
+      all.mean(c, counted, total, truth.reflected[c], truth.error[c]);
+      direct.mean(c, counted, total, truth.direct[c], truth.direct_error[c]);
+      irradiance.mean(c, counted, total, truth.irradiance[c], truth.irradiance_error[c]);
       truth.sun[c] = static_cast<float>(sun[c] / total);
     }
     rays += cast_rays;
     return truth;
+  }
+
+  PatchTruth tracePatch(uint32_t patch, const Lighting& light, std::span<const Emitter> emitters,
+                        std::span<const uint32_t> emitter_of, const TraceSettings& settings) const {
+    const std::span<const Facet> own(facets.data() + facet_start[patch], facet_start[patch + 1] - facet_start[patch]);
+    Lamps lamps{emitters, emitter_of, {}};
+    if (!own.empty()) lamps.choice = chooseLamps(emitters, own[own.size() / 2].a, own.back().cumulative_area);
+    return meanOfPaths(patch, settings.paths, settings.seed, light, lamps, false,
+                       [&](float pick, float along) { return start(patch, pick, along); });
+  }
+
+  PatchTruth traceSeen(const SeenSurface& surface, const Lighting& light, std::span<const Emitter> emitters,
+                       std::span<const uint32_t> emitter_of, uint64_t seed) const {
+    const std::span<const SeenPoint> points = surface.points;
+    PatchTruth none;
+    none.buried = true;
+    if (points.empty()) return none;
+    Box extent;
+    for (const SeenPoint& p : points) extent.add(p.point);
+    const Vec3 size = extent.hi - extent.lo;
+    const Lamps lamps{emitters, emitter_of, chooseLamps(emitters, (extent.lo + extent.hi) / 2, dot(size, size))};
+    return meanOfPaths(points.front().patch, surface.paths, seed, light, lamps, true, [&](float pick, float) {
+      const SeenPoint& p = points[std::min(points.size() - 1, static_cast<size_t>(pick * static_cast<float>(points.size())))];
+      return Start{p.point, p.normal, p.albedo, true};
+    });
+  }
+
+  // The patch whose drawing geometry lies at a point of the surface and faces as `normal` does.
+  uint32_t patchAt(Vec3 point, Vec3 normal) const {
+    const float reach = 2 * quantum + 2 * lift;
+    const RTCRayHit hit = cast(drawing, point + normal * reach, normal * -1.0f, 2 * reach, 0, true);
+    return hit.hit.geomID == RTC_INVALID_GEOMETRY_ID ? kNoPatch : patch_of[hit.hit.primID];
   }
 
   template <class Work>
@@ -411,6 +409,18 @@ struct PathTracer::State {
     std::vector<std::jthread> others;
     for (int k = 1; k < n; ++k) others.emplace_back(run);
     run();
+  }
+
+  // one(i, emitters, emitter_of): the truth of the i-th.
+  template <class One>
+  std::vector<PatchTruth> traceEach(size_t count, const Lighting& light, int threads, const One& one) const {
+    std::vector<PatchTruth> truth(count);
+    rays = 0;
+    const std::vector<Emitter> emitters = emittersOf(light);
+    std::vector<uint32_t> emitter_of(scene->triangles.size(), bake::kNone);
+    for (uint32_t e = 0; e < emitters.size(); ++e) emitter_of[emitters[e].triangle] = e;
+    forEach(count, threads, [&](size_t i) { truth[i] = one(i, emitters, emitter_of); });
+    return truth;
   }
 };
 
@@ -491,15 +501,10 @@ PathTracer::~PathTracer() = default;
 
 std::vector<PatchTruth> PathTracer::trace(std::span<const uint32_t> patches, const Lighting& light,
                                           const TraceSettings& settings) const {
-  std::vector<PatchTruth> truth(patches.size());
-  state_->rays = 0;
-  const std::vector<Emitter> emitters = state_->emittersOf(light);
-  std::vector<uint32_t> emitter_of(state_->scene->triangles.size(), bake::kNone);
-  for (uint32_t e = 0; e < emitters.size(); ++e) emitter_of[emitters[e].triangle] = e;
-  state_->forEach(patches.size(), settings.threads, [&](size_t i) {
-    truth[i] = state_->tracePatch(patches[i], light, emitters, emitter_of, settings);
-  });
-  return truth;
+  return state_->traceEach(patches.size(), light, settings.threads,
+                           [&](size_t i, std::span<const Emitter> emitters, std::span<const uint32_t> emitter_of) {
+                             return state_->tracePatch(patches[i], light, emitters, emitter_of, settings);
+                           });
 }
 
 std::vector<Vec3> PathTracer::sunIrradiance(std::span<const uint32_t> patches, const Lighting& light, uint32_t rays,
@@ -529,6 +534,37 @@ std::vector<Vec3> PathTracer::sunIrradiance(std::span<const uint32_t> patches, c
     irradiance[i] = sum / static_cast<float>(found);
   });
   return irradiance;
+}
+
+EyeView PathTracer::lookFrom(Vec3 eye, uint32_t rays) const {
+  EyeView view;
+  const State& s = *state_;
+  for (uint32_t i = 0; i < rays; ++i) {
+    const Vec3 w = sphereDirection(i, rays);
+    const RTCRayHit hit = s.cast(s.solid, eye, w, std::numeric_limits<float>::infinity());
+    if (hit.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
+      ++view.sky;
+      continue;
+    }
+    const uint32_t t = hit.hit.primID;
+    const bool front = dot(s.normals[t], w) < 0;
+    if (!front && !s.isDoubleSided(t)) {
+      ++view.backs;
+      continue;
+    }
+    const Vec3 normal = front ? s.normals[t] : s.normals[t] * -1.0f, at = eye + w * hit.ray.tfar;
+    view.points.push_back({at + normal * s.lift, normal, surfaceAt(*s.scene, t, hit.hit.u, hit.hit.v).albedo,
+                           s.patchAt(at, normal)});
+  }
+  return view;
+}
+
+std::vector<PatchTruth> PathTracer::traceSeen(std::span<const SeenSurface> surfaces, const Lighting& light, uint64_t seed,
+                                              int threads) const {
+  return state_->traceEach(surfaces.size(), light, threads,
+                           [&](size_t i, std::span<const Emitter> emitters, std::span<const uint32_t> emitter_of) {
+                             return state_->traceSeen(surfaces[i], light, emitters, emitter_of, seed);
+                           });
 }
 
 uint64_t PathTracer::raysCast() const { return state_->rays; }

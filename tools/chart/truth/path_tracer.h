@@ -24,6 +24,8 @@ struct PatchTruth {
   Vec3 sun;         // irradiance from the sun alone
   Vec3 direct;      // of `reflected`, what lamps, sun and sky put there without a bounce
   Vec3 direct_error;
+  Vec3 irradiance;      // mean over the patch of what arrives, whatever is reflected of it
+  Vec3 irradiance_error;
   bool buried = false;  // inside a solid: nothing can be seen of it
 };
 
@@ -31,6 +33,24 @@ struct TraceSettings {
   uint32_t paths = 1024;  // per patch; rounded up to kBatches
   uint64_t seed = 1;
   int threads = 0;        // 0 = all cores; the result does not depend on it
+};
+
+// A point of the scene's surface that an eye sees.
+struct SeenPoint {
+  Vec3 point, normal, albedo;  // point: lifted off the surface; normal: towards the eye
+  uint32_t patch = 0;          // whose drawing geometry lies there; PathTracer::kNoPatch: nobody's, nothing is drawn
+};
+
+// What an eye sees around it, by rays that cover the sphere evenly. Backs of single-sided surfaces are not looked at.
+struct EyeView {
+  std::vector<SeenPoint> points;
+  uint32_t sky = 0, backs = 0;  // rays
+};
+
+// Points to take a mean over, each with the same weight, and by how many paths.
+struct SeenSurface {
+  std::vector<SeenPoint> points;
+  uint32_t paths = 1024;  // rounded up to kBatches
 };
 
 inline constexpr uint32_t kBatches = 16;  // independent groups of paths a patch: their spread is the standard error
@@ -48,6 +68,10 @@ class PathTracer {
   // is traced.
   std::vector<PatchTruth> trace(std::span<const uint32_t> patches, const Lighting& light,
                                 const TraceSettings& settings) const;
+  EyeView lookFrom(Vec3 eye, uint32_t rays) const;
+  // The mean over what is seen of a surface. One result each; the same numbers for the same seed, light and surface.
+  std::vector<PatchTruth> traceSeen(std::span<const SeenSurface> surfaces, const Lighting& light, uint64_t seed,
+                                    int threads = 0) const;
   // Irradiance of patches from the sun alone, W/m2, by `rays` shadow rays each: what an engine's own shadows would give.
   std::vector<Vec3> sunIrradiance(std::span<const uint32_t> patches, const Lighting& light, uint32_t rays,
                                   int threads = 0) const;

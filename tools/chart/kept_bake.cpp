@@ -1,0 +1,30 @@
+#include "tools/chart/kept_bake.h"
+
+#include <chrono>
+#include <filesystem>
+#include <fstream>
+
+#include "formats/reader.h"
+
+namespace ff::chart {
+
+Result<KeptBake> keptBake(const bake::Scene& scene, const bake::BakeSettings& settings, const std::string& path) {
+  using Clock = std::chrono::steady_clock;
+  std::error_code ignored;  // a folder that cannot be made is one that cannot be written
+  std::filesystem::create_directories(std::filesystem::path(path).parent_path(), ignored);
+  KeptBake kept{path};
+  const std::string timed = path + ".seconds";
+  const bool from_a_file = scene.content_hash != decltype(scene.content_hash){};
+  if (const auto there = formats::World::open(path); there && from_a_file)
+    if (there->info().bake_key == bake::bakeKey(scene, settings, settings.cell_m > 0 ? settings.cell_m : there->info().cell_m))
+      if (std::ifstream in(timed); in >> kept.seconds) return kept;
+  const auto start = Clock::now();
+  const auto made = bake::bakeWorld(scene, settings, path);
+  if (!made) return made.error();
+  kept.seconds = std::chrono::duration<double>(Clock::now() - start).count();
+  kept.made = true;
+  std::ofstream(timed) << kept.seconds;
+  return kept;
+}
+
+}  // namespace ff::chart
