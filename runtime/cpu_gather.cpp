@@ -1,17 +1,15 @@
 // Jacobi iterations on the CPU. Nothing is allocated or locked after the start. Every row is summed by one
 // thread in the order of its entries, so the result does not depend on the number of threads.
-//
-// approach() is the Chebyshev semi-iteration (Golub and Varga. "Chebyshev semi-iterative methods, successive
-// overrelaxation iterative methods, and second order Richardson iterative methods." 1961), for rooms that keep their
-// light: where Jacobi shrinks the error by a factor s a step, it needs about the square root of the steps. It asks for
-// real eigenvalues between -s and s; those of albedo * F are real by reciprocity, but for what sampling leaves.
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <utility>
 
 #include "runtime/gather_kernels.h"
+#include "runtime/semi_iteration.h"
 #include "runtime/solver.h"
+#include "runtime/sound_light.h"
 #include "runtime/worker_pool.h"
 
 namespace ff::runtime {
@@ -19,10 +17,6 @@ namespace {
 
 constexpr uint32_t kPartRefined = 2048;   // likewise, of refined slots; a single part is done without a meeting
 constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
-
-constexpr int kFewestSteps = 4;      // of approach(), else they are Jacobi's
-constexpr double kSlowDecay = 0.6;   // the same, below it
-constexpr double kMostDecay = 0.9999;
 
 class CpuGather final : public Solver {
  public:
@@ -58,22 +52,21 @@ class CpuGather final : public Solver {
     }
     divideRows();
     weighChildren();
-    forgetDecay();
+    pace_.forget();
     return {};
   }
 
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
-    std::copy(source.begin(), source.end(), source_.begin());
-    forgetDecay();
+    repaired_ += copySound(source, source_);
+    pace_.forget();
     return {};
   }
 
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
     FF_CHECK_EQ(radiosity.size(), from_.size());
-    std::copy(radiosity.begin(), radiosity.end(), from_.begin());
-    for (Vec4& value : from_) value.w = 0;
-    forgetDecay();
+    repaired_ += copySound(radiosity, from_);
+    pace_.forget();
     return {};
   }
 
@@ -85,28 +78,18 @@ class CpuGather final : public Solver {
     return {};
   }
 
-  // Two of Jacobi's steps tell how slowly light decays (from below: the largest of several calls is taken); the second
-  // is the first of the semi-iteration. No value falls below its source, where no solution does.
   Result<void> approach(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
-    if (k < kFewestSteps || !may_accelerate_) return iterate(k);
+    if (!pace_.suits(k)) return iterate(k);
     const auto start = std::chrono::steady_clock::now();
     step();
     const double first = lastChange();
     step();
-    const double second = lastChange();
-    if (last_first_ >= 0 && first > last_first_) may_accelerate_ = false;  // it made matters worse
-    last_first_ = first;
-    if (first > 0) decay_ = std::max(decay_, std::min(second / first, kMostDecay));
-    double omega = 2;
+    pace_.learn(first, lastChange());
     for (int i = 2; i < k; ++i) {
-      if (!may_accelerate_ || decay_ < kSlowDecay) {
-        step();
-        continue;
-      }
-      omega = 1 / (1 - decay_ * decay_ * omega / 4);
-      before_.swap(to_);  // `to_` held the values of a step ago
-      step(static_cast<float>(omega));
+      const float omega = pace_.omega();
+      if (omega != 1) before_.swap(to_);  // `to_` held the values of a step ago
+      step(omega);
     }
     last_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     return {};
@@ -118,16 +101,11 @@ class CpuGather final : public Solver {
     return {};
   }
 
+  uint64_t repaired() const override { return repaired_; }
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return "cpu"; }
 
  private:
-  void forgetDecay() {
-    decay_ = 0;
-    last_first_ = -1;
-    may_accelerate_ = true;
-  }
-
   // from_ <- M + albedo F from_; with omega, the step goes on from before_ and omega times as far.
   void step(float omega = 1) {
     const GatherJob job{matrix_->row_start.data(),
@@ -138,16 +116,24 @@ class CpuGather final : public Solver {
                         source_.data(),
                         from_.data(),
                         to_.data()};
+    std::atomic<uint32_t> unsound = 0;
     pool_.run(static_cast<uint32_t>(parts_.size() - 1), [&](uint32_t part) {
+      const std::span leaves = std::span(matrix_->leaves).subspan(parts_[part], parts_[part + 1] - parts_[part]);
       kernel_(job, parts_[part], parts_[part + 1]);
-      if (omega == 1) return;
-      for (uint32_t i = parts_[part]; i < parts_[part + 1]; ++i) {
-        const uint32_t s = matrix_->leaves[i];
-        const Vec4 old = before_[s], m = source_[s], b = to_[s];
-        to_[s] = {std::max(m.x, old.x + omega * (b.x - old.x)), std::max(m.y, old.y + omega * (b.y - old.y)),
-                  std::max(m.z, old.z + omega * (b.z - old.z)), 0};
+      if (omega != 1) {
+        for (const uint32_t s : leaves) {
+          const Vec4 old = before_[s], m = source_[s], b = to_[s];
+          to_[s] = {std::max(m.x, old.x + omega * (b.x - old.x)), std::max(m.y, old.y + omega * (b.y - old.y)),
+                    std::max(m.z, old.z + omega * (b.z - old.z)), 0};
+        }
+      }
+      for (const uint32_t s : leaves) {
+        if (isSound(to_[s])) continue;
+        to_[s] = source_[s];
+        ++unsound;
       }
     });
+    repaired_ += unsound;
     refine();
     from_.swap(to_);
   }
@@ -213,9 +199,8 @@ class CpuGather final : public Solver {
   std::vector<Vec4> before_;  // of two steps ago, in approach()
   std::vector<float> child_weight_;  // per slot: its area over its parent's children's
   std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
-  double decay_ = 0;          // of the change from step to step, under this light
-  double last_first_ = -1;    // the first change of the last approach(); -1: none
-  bool may_accelerate_ = true;
+  SemiIteration pace_;
+  uint64_t repaired_ = 0;
   double last_ms_ = 0;
 };
 

@@ -41,6 +41,7 @@ class Fallback final : public FallbackSolver {
     if (r) last_seen_.assign(out.begin(), out.end());
     return r;
   }
+  uint64_t repaired() const override { return inUse().repaired(); }
   double lastMs() const override { return inUse().lastMs(); }
   const char* name() const override { return inUse().name(); }
   const std::string& reason() const override { return reason_; }

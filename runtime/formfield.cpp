@@ -210,6 +210,7 @@ Result<void> FormfieldWorld_T::step(Vec3 at, Vec3 moving) {
 
 void FormfieldWorld_T::followCut(const FrameStats& stats) {
   frame_stats = stats;
+  light_zeroed += stats.light_zeroed;
   if (!stats.matrix_changed) return;
   ++change;
   const LocalMatrix& matrix = updater.matrix();
@@ -229,13 +230,14 @@ Result<void> FormfieldWorld_T::readRadiosity() {
 Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) {
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
   if (!(tolerance > 0) || max_iterations > 1000000) return usageError("tolerance", "is not positive, or too many iterations");
-  if (auto settled = streamer->settle(); !settled) return settled;
+  if (auto loaded = streamer->settle(); !loaded) return loaded;
   const auto stats = updater.frame(observer, velocity, 1);
   if (!stats) return stats.error();
   followCut(*stats);
   if (auto chosen = chooseByMatrix(); !chosen) return chosen;
-  const auto iterations = updater.converge(tolerance, static_cast<int>(max_iterations));
-  if (!iterations) return iterations.error();
+  const auto converged = updater.converge(tolerance, static_cast<int>(max_iterations));
+  if (!converged) return converged.error();
+  settled = *converged;
   if (auto read = readRadiosity(); !read) return read;
   if (!probes) return {};
   if (auto followed_now = sample({}, {}, {}); !followed_now) return followed_now;
@@ -259,6 +261,7 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
     if (auto set = made->solver->update(updater.matrix(), {}); !set) return set;
     if (auto set = made->solver->setRadiosity(radiosity); !set) return set;
     if (auto set = made->solver->setSource(updater.source()); !set) return set;
+    repaired_before += solver.solver->repaired();
     solver = std::move(*made);
   }
   choice = better;
@@ -268,9 +271,6 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
 Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<Vec3> out) {
   if (!probes) return usageError("probes", "the world was opened without", "set FormfieldWorldSettings::probes");
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
-  for (size_t i = 0; i < points.size(); ++i)
-    if (!isFinite(points[i]) || !(std::abs(dot(normals[i], normals[i]) - 1) < 1e-3f))
-      return usageError("points", "one is not finite, or its normal is not a unit vector");
   const LocalMatrix& matrix = updater.matrix();
   if (change != followed) {
     followed = change;
@@ -402,8 +402,7 @@ FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t firs
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (first > kMaxSlots || count > kMaxSlots - first) return usageError("slots", "reach past FORMFIELD_MAX_SLOTS");
     if (count > 0 && !irradiance) return usageError("irradiance", "is NULL");
-    w.updater.setDirectIrradiance(first, vectors(irradiance, count));
-    return {};
+    return w.updater.setDirectIrradiance(first, vectors(irradiance, count));
   });
 }
 
@@ -411,10 +410,8 @@ FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!sky) return usageError("sky", "is NULL");
     Sky set{vectorOf(sky->radiance), {vectorOf(sky->gradient[0]), vectorOf(sky->gradient[1]), vectorOf(sky->gradient[2])}};
-    if (!isFinite(set.l0) || !isFinite(set.l1[0]) || !isFinite(set.l1[1]) || !isFinite(set.l1[2]))
-      return usageError("sky", "is not finite");
+    if (auto taken = w.updater.setSky(set); !taken) return taken;
     w.sky = set;
-    w.updater.setSky(set);
     return {};
   });
 }
@@ -512,7 +509,13 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
       report.probes_traced = p.traced;
       report.probes_remembered = p.kept;
       report.probe_tiles = p.facet_tiles;
+      report.samples_refused = p.refused;
     }
+    report.light_zeroed = w.light_zeroed;
+    report.light_repaired = w.repaired_before + w.solver.solver->repaired();
+    report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
+    report.settled = w.settled.settled;
+    report.settle_change = w.settled.change;
     return giveReport(report, stats);
   });
 }
@@ -524,6 +527,8 @@ const char* formfieldFallbackReason(FormfieldWorld world) {
 }
 
 const char* formfieldSolverReason(FormfieldWorld world) { return world ? world->choice.why.c_str() : ""; }
+
+const char* formfieldLightFault(FormfieldWorld world) { return world ? world->updater.lightFault().c_str() : ""; }
 
 const char* formfieldStreamFailure(FormfieldWorld world) {
   if (!world) return "";

@@ -117,6 +117,12 @@ FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* 
 
 /* ---- Light ---- */
 
+/* Everything here is a finite number from 0 to 1e12 W/m2 (radiance: W/(m2 sr); a sky's gradient has either sign); below
+ * 0 by less than 1e-3 it counts as rounding. The functions refuse anything else with FORMFIELD_ERROR_USAGE and a line
+ * that names the slot, tile and node, and leave all as it was. What a callback returns is taken for zero and counted
+ * instead (FormfieldStats::light_zeroed, formfieldLightFault): the frame goes on. Light that is not finite in spite of
+ * all, or past 1e15 W/m2, is put right by the solver's next step, and counted as well (light_repaired). */
+
 typedef struct FormfieldNode {
   float centroid[3], normal[3]; /* m; unit, or zero where a cluster's pieces cancel */
   float area_m2;
@@ -157,15 +163,17 @@ FormfieldResult formfieldFrame(FormfieldWorld world, const float observer[3], co
  * next frame. */
 const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots);
 
-/* Irradiance, W/m2, of a small surface at each point that faces along its unit normal: what surfaces around reflect and
- * emit, and the sky; not the caller's direct light. For characters and all else that moves. points, normals, irradiance:
- * three floats each. Points near the observer are answered best. Walls keep light out. Remembered points are cheap; new
- * ones cost probe_rays rays. Changes with the last frame's light. */
+/* Irradiance, W/m2, of a small surface at each point that faces along its normal (of any length): what surfaces around
+ * reflect and emit, and the sky; not the caller's direct light. For characters and all else that moves. points,
+ * normals, irradiance: three floats each. Points near the observer are answered best. Walls keep light out. Remembered
+ * points are cheap; new ones cost probe_rays rays. Changes with the last frame's light. A point that is not finite, or
+ * a normal that is not or that is zero, is answered with zero and counted (FormfieldStats::samples_refused). */
 FormfieldResult formfieldSample(FormfieldWorld world, uint32_t count, const float* points, const float* normals,
                                 float* irradiance);
 
 /* Loading screens, tests: blocks until nothing is left to load for the last observer and the light changes by less than
- * tolerance (of the largest radiosity) from one iteration to the next, or max_iterations are done. */
+ * tolerance (of the largest radiosity) from one iteration to the next, or max_iterations are done: FormfieldStats says
+ * which (settled) and what is undone (settle_change). */
 FormfieldResult formfieldSettle(FormfieldWorld world, float tolerance, uint32_t max_iterations);
 
 /* ---- Which slot is what ---- */
@@ -206,6 +214,12 @@ typedef struct FormfieldStats {
   double dense_probe;                          /* error of the dense matrix, probed with random vectors; 0: not yet */
   uint64_t probes_traced, probes_remembered;   /* points answered by new rays, by remembered ones */
   uint32_t probe_tiles;                        /* level-0 tiles whose triangles are loaded */
+  uint32_t settled;                            /* 1: the last formfieldSettle reached its tolerance */
+  uint32_t settle_iterations;                  /* that it took */
+  double settle_change;                        /* by its last iteration, over the largest radiosity */
+  uint64_t light_zeroed;                       /* callbacks' values that were no light, taken for zero */
+  uint64_t light_repaired;                     /* solver's values that were not finite or past 1e15 W/m2 */
+  uint64_t samples_refused; /* points answered with zero: they or their normals are not finite, or 0 */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
@@ -215,6 +229,8 @@ const char* formfieldSolverName(FormfieldWorld world);
 const char* formfieldSolverReason(FormfieldWorld world);
 /* Why the CPU has taken over; empty: it has not. Allocates nothing. */
 const char* formfieldFallbackReason(FormfieldWorld world);
+/* The last value of a callback that was taken for zero, as a line; empty: none. Valid until the next frame. */
+const char* formfieldLightFault(FormfieldWorld world);
 /* The last strip that could not be read, as a line; empty: none. Allocates; valid until the next call. */
 const char* formfieldStreamFailure(FormfieldWorld world);
 

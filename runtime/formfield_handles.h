@@ -82,6 +82,8 @@ struct FormfieldWorld_T {
       const bool records = world.recording && !world.solver.fellBack();  // which update() may just have done
       return records ? world.solver.recording->record(k) : now().iterate(k);
     }
+    ff::Result<void> approach(int k) override { return now().approach(k); }
+    uint64_t repaired() const override { return now().repaired(); }
     ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
     double lastMs() const override { return now().lastMs(); }
     const char* name() const override { return now().name(); }
@@ -99,6 +101,9 @@ struct FormfieldWorld_T {
   // Of the last frame.
   ff::Vec3 observer, velocity;
   ff::runtime::FrameStats frame_stats;
+  ff::runtime::Settled settled;  // by the last settle()
+  uint64_t light_zeroed = 0;     // since the start
+  uint64_t repaired_before = 0;  // by solvers that are no longer in use
   double residual = -1;
   uint64_t change = 0, followed = ~uint64_t{0};  // the cut: its number, and the one that the probes know
   std::vector<FormfieldTile> tiles;

@@ -28,6 +28,17 @@ std::vector<Vec3> cosineRays(uint32_t count) {
   return rays;
 }
 
+bool isFinite(Vec3 v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
+
+// Of unit length, whatever its own; zero: it has none. A unit vector stays as it is, so that it is found again.
+Vec3 direction(Vec3 v) {
+  const float largest = std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)});
+  if (!isFinite(v) || largest == 0) return {};
+  if (std::abs(dot(v, v) - 1) < 1e-6f) return v;
+  const Vec3 scaled = v / largest;  // its square neither overflows nor vanishes
+  return scaled / std::sqrt(dot(scaled, scaled));
+}
+
 }  // namespace
 
 Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSettings& settings)
@@ -112,13 +123,19 @@ void Probes::sample(std::span<const Vec3> points, std::span<const Vec3> normals,
   ++samples_;
   uint32_t refreshed = 0;
   for (size_t i = 0; i < points.size(); ++i) {
-    const size_t at = find(points[i], normals[i]);
+    const Vec3 normal = direction(normals[i]);
+    if (!isFinite(points[i]) || normal == Vec3{}) {
+      ++stats_.refused;
+      irradiance[i] = {};
+      continue;
+    }
+    const size_t at = find(points[i], normal);
     Kept& kept = kept_[at];
-    const bool known = kept.state != 0 && kept.point == points[i] && kept.normal == normals[i];
+    const bool known = kept.state != 0 && kept.point == points[i] && kept.normal == normal;
     const bool usable = known && (kept.state == state_ || standsStill(at));
     const bool refresh = usable && kept.state != state_ && refreshed < settings_.most_refreshed;
     refreshed += refresh;
-    if (!usable || refresh) trace(at, points[i], normals[i]);
+    if (!usable || refresh) trace(at, points[i], normal);
     ++(usable && !refresh ? stats_.kept : stats_.traced);
     kept.used = samples_;
     irradiance[i] = evaluate(at, radiosity, sky);

@@ -31,6 +31,7 @@ struct ProbeTile {
 
 struct ProbeStats {
   uint64_t traced = 0, kept = 0;  // probes answered by new rays, by remembered ones
+  uint64_t refused = 0;           // and with zero, since they had no place or no direction
   uint32_t facet_tiles = 0;       // level-0 tiles whose triangles are here
 };
 
@@ -43,10 +44,10 @@ class Probes {
   // Where the observer is, and the cut from now on: before sample(). leaf: by slot. cut: a number that differs whenever
   // the tiles, their slots or `leaf` do; costs little when it does not.
   void follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut);
-  // Irradiance, W/m2, of a surface at each point that faces along its normal (unit), from everything but what the caller
-  // has as direct light: radiosity of surfaces and the sky. radiosity: W/m2, by slot. The answer is a function of the
-  // point, the cut and the light; only a probe that was kept over a change of the cut, because most_refreshed others
-  // were before it, lags.
+  // Irradiance, W/m2, of a surface at each point that faces along its normal (of any length), from everything but what
+  // the caller has as direct light: radiosity of surfaces and the sky. radiosity: W/m2, by slot. The answer is a
+  // function of the point, the cut and the light; only a probe that was kept over a change of the cut, because
+  // most_refreshed others were before it, lags. Zero where point or normal is not finite, or the normal zero.
   void sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<const Vec4> radiosity,
               const Sky& sky, std::span<Vec3> irradiance);
   // Blocks until the triangles around the last observer are here (tests, loading screens).

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <utility>
 
-#include "runtime/converge.h"
+#include "runtime/sound_light.h"
 
 namespace ff::runtime {
 namespace {
@@ -33,6 +33,10 @@ void carryOver(const formats::World& world, std::span<const SlotRange> old, std:
   }
 }
 
+Error noLight(std::string place, const char* why) {
+  return {ErrorCode::kUsage, "", std::move(place), why, "give a finite number from 0 to 1e12 W/m2"};
+}
+
 }  // namespace
 
 Vec3 skyIrradiance(const Sky& sky, const formats::Node& node) {
@@ -49,14 +53,21 @@ Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver
   tiles_before_.reserve(kMaxSlots / 16);
 }
 
-void Updater::setSky(const Sky& sky) {
+Result<void> Updater::setSky(const Sky& sky) {
+  if (const char* why = whyNoLight(sky.l0)) return noLight("sky, radiance", why);
+  for (const Vec3& gradient : sky.l1)
+    for (int a = 0; a < 3; ++a)  // which has either sign
+      if (const char* why = whyNoLight(std::abs(gradient[a]))) return noLight("sky, gradient", why);
   sky_ = sky;
   sky_changed_ = true;
+  return {};
 }
 
-void Updater::setAmbient(Vec3 radiosity) {
-  ambient_ = radiosity;
+Result<void> Updater::setAmbient(Vec3 radiosity) {
+  if (const char* why = whyNoLight(radiosity)) return noLight("ambient", why);
+  ambient_ = max(radiosity, {});
   sky_changed_ = true;
+  return {};
 }
 
 void Updater::setDirectLight(DirectLight direct) {
@@ -66,14 +77,29 @@ void Updater::setDirectLight(DirectLight direct) {
 
 void Updater::lightChanged() { light_changed_ = true; }
 
-void Updater::setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance) {
-  for (size_t i = 0; i < irradiance.size() && first_slot + i < direct_irradiance_.size(); ++i)
-    direct_irradiance_[first_slot + i] = irradiance[i];
+Result<void> Updater::setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance) {
+  const size_t slots = direct_irradiance_.size();
+  irradiance = irradiance.first(first_slot < slots ? std::min(irradiance.size(), slots - first_slot) : 0);
+  for (uint32_t i = 0; i < irradiance.size(); ++i)
+    if (const char* why = whyNoLight(irradiance[i])) return noLight(nameOf(first_slot + i), why);
+  for (size_t i = 0; i < irradiance.size(); ++i) direct_irradiance_[first_slot + i] = max(irradiance[i], {});
   sky_changed_ = true;  // all sources are made anew, from what is here
+  return {};
+}
+
+// "direct irradiance of slot 17: tile 0:3, node 12".
+std::string Updater::nameOf(uint32_t slot) const {
+  std::string name = "direct irradiance of slot " + std::to_string(slot);
+  for (const SlotRange& range : matrix().tiles)
+    if (slot - range.first_slot < range.nodes)
+      return name + ": tile " + std::to_string(range.id.level) + ":" + std::to_string(range.id.tile) + ", node " +
+             std::to_string(range.first_node + slot - range.first_slot);
+  return name + ": a slot of no tile";
 }
 
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
+  light_zeroed_ = 0;
   streamer_.update(observer, velocity);
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
@@ -87,6 +113,7 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
     if (auto relit = relightAll(); !relit) return relit.error();
   FrameStats stats = counts_;
   stats.matrix_changed = changed;
+  stats.light_zeroed = light_zeroed_;
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   if (auto iterated = solver_.iterate(iterations); !iterated) return iterated.error();
@@ -128,14 +155,26 @@ void Updater::light(uint32_t tile, bool ask_direct_light) {
   if (ask_direct_light) {
     std::fill(irradiance.begin(), irradiance.end(), Vec3{});
     if (direct_light_) direct_light_(range.id, irradiance);
+    for (uint32_t i = 0; i < range.nodes; ++i)
+      irradiance[i] = isLight(range.first_slot + i, "", irradiance[i]) ? max(irradiance[i], {}) : Vec3{};
   }
   for (uint32_t i = 0; i < range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
-    const Vec3 direct = node.emission + node.albedo * irradiance[i];
-    const Vec3 all = direct + node.albedo * skyIrradiance(sky_, node);
+    Vec3 direct = node.emission + node.albedo * irradiance[i];
+    Vec3 all = direct + node.albedo * skyIrradiance(sky_, node);
+    if (!isLight(range.first_slot + i, ", with its emission and the sky,", all)) direct = all = {};
     direct_[range.first_slot + i] = {direct.x, direct.y, direct.z, 0};
     source_[range.first_slot + i] = {all.x, all.y, all.z, 0};
   }
+}
+
+// Counts what is no light.
+bool Updater::isLight(uint32_t slot, const char* what, Vec3 value) {
+  const char* const why = whyNoLight(value);
+  if (!why) return true;
+  if (++light_zeroed_ == 1)
+    light_fault_ = Error{ErrorCode::kUsage, "", nameOf(slot) + what, why, "it was taken for zero"}.line();
+  return false;
 }
 
 Result<void> Updater::relightAll() {
@@ -146,7 +185,7 @@ Result<void> Updater::relightAll() {
   return solver_.setSource(source_);
 }
 
-Result<int> Updater::converge(float tolerance, int max_iterations) {
+Result<Settled> Updater::converge(float tolerance, int max_iterations) {
   FF_CHECK_EQ(started_, true);
   before_.resize(matrix().slots());
   return runtime::converge(solver_, {.tolerance = tolerance, .max_iterations = max_iterations}, radiosity_, before_);

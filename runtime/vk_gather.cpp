@@ -1,10 +1,12 @@
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstring>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "gather_change_comp.h"
 #include "gather_comp.h"
 #include "gather_enter_comp.h"
 #include "gather_kinds_comp.h"
@@ -14,6 +16,8 @@
 #include "runtime/gather_correction.h"
 #include "runtime/gather_layout.h"
 #include "runtime/page_table.h"
+#include "runtime/semi_iteration.h"
+#include "runtime/sound_light.h"
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
@@ -46,7 +50,13 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
   Result<void> iterate(int k) override;
+  Result<void> approach(int k) override;
   Result<void> radiosity(std::span<Vec4> out) override;
+  uint64_t repaired() const override {
+    uint32_t in_steps = 0;
+    std::memcpy(&in_steps, faults_.mapped(), sizeof(in_steps));
+    return repaired_ + in_steps;
+  }
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
   Result<void> record(VkCommandBuffer commands, int iterations) override;
@@ -77,7 +87,13 @@ class VulkanGather final : public VulkanRecorder {
   void listSpans();
   void recordCopies(VkCommandBuffer c);
   void recordChange(VkCommandBuffer c);
-  void recordIteration(VkCommandBuffer c, bool first);
+  void recordIteration(VkCommandBuffer c, bool first, float omega);
+  // omega(): of the next step.
+  template <class Omega>
+  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega);
+  template <class Omega>
+  Result<void> runSteps(int steps, Omega&& omega);
+  Result<double> runMeasuredStep();
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
   void readTime(uint32_t frame, bool wait);
   uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
@@ -87,13 +103,16 @@ class VulkanGather final : public VulkanRecorder {
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, refine_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, change_, refine_;
   Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, output_, staging_;
+  Buffer faults_;   // one word: values repaired in steps
+  Buffer changes_;  // of runMeasuredStep(): a float a work group
   Buffer radiosity_[2];
   uint32_t now_ = 0;  // radiosity_[now_] is the current one
   StorageSets sets_;
   VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
   VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {};     // [radiosity buffer]
+  VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
   VkQueryPool queries_ = VK_NULL_HANDLE;                       // kQueries a frame in flight
   uint64_t segment_bytes_ = 0;
@@ -113,7 +132,8 @@ class VulkanGather final : public VulkanRecorder {
       copies_to_radiosity_;
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
   std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
-  uint64_t uploaded_bytes_ = 0;
+  uint64_t uploaded_bytes_ = 0, repaired_ = 0;
+  SemiIteration pace_;
   double last_ms_ = 0, last_change_ms_ = 0;
 };
 
@@ -182,7 +202,8 @@ Result<void> VulkanGather::makePipelines() {
                          {&enter_, gather_enter_comp, 6, sizeof(shaders::JobPush)},
                          {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
                          {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
-                         {&gather_, gather_comp, 7, sizeof(shaders::GatherPush)},
+                         {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
+                         {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)}};
   for (const Wanted& w : list) {
     auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes));
@@ -203,30 +224,34 @@ Result<void> VulkanGather::makeBuffers() {
     uint64_t bytes;
     MemoryUse use = MemoryUse::kDevice;
   };
-  const Wanted list[] = {{&rows_, slots * sizeof(shaders::GatherRow)},
-                         {&entries_, segments_ * segment_bytes_},
-                         {&packed_, settings_.packed_bytes},
-                         {&pages_, settings_.pages * kPageBytes},
-                         {&albedo_, slots * sizeof(Vec4)},
-                         {&parents_, slots * sizeof(uint32_t)},
-                         {&kinds_, slots * sizeof(uint32_t)},
-                         {&source_, slots * sizeof(Vec4)},
-                         {&jobs_, jobs},
-                         {&spans_, spans},
-                         {&output_, slots * sizeof(Vec4)},
-                         {&radiosity_[0], slots * sizeof(Vec4)},
-                         {&radiosity_[1], slots * sizeof(Vec4)},
-                         {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost}};
+  const Wanted list[] = {
+      {&rows_, slots * sizeof(shaders::GatherRow)},
+      {&entries_, segments_ * segment_bytes_},
+      {&packed_, settings_.packed_bytes},
+      {&pages_, settings_.pages * kPageBytes},
+      {&albedo_, slots * sizeof(Vec4)},
+      {&parents_, slots * sizeof(uint32_t)},
+      {&kinds_, slots * sizeof(uint32_t)},
+      {&source_, slots * sizeof(Vec4)},
+      {&jobs_, jobs},
+      {&spans_, spans},
+      {&output_, slots * sizeof(Vec4)},
+      {&faults_, sizeof(uint32_t), MemoryUse::kHost},
+      {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
+      {&radiosity_[0], slots * sizeof(Vec4)},
+      {&radiosity_[1], slots * sizeof(Vec4)},
+      {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost}};
   for (const Wanted& w : list) {
     auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
     if (!b) return b.error();
     *w.buffer = std::move(*b);
   }
+  std::memset(faults_.mapped(), 0, sizeof(uint32_t));
   return {};
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 6 + 3 * segments_, 2 + 2 + 12 + 8 + segments_ * (6 + 14));
+  auto sets = StorageSets::create(*context_, 8 + 3 * segments_, 2 + 2 + 12 + 8 + 8 + segments_ * (6 + 16));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -242,13 +267,15 @@ Result<void> VulkanGather::makeSets() {
     enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
                                   whole(radiosity_[i])});
     refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(albedo_), whole(radiosity_[i])});
+    change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
   }
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
     resolve_sets_.push_back(make(resolve_, {whole(jobs_), whole(packed_), whole(pages_), whole(kinds_), whole(rows_), segment}));
     for (uint32_t now = 0; now < 2; ++now)
-      gather_sets_[now].push_back(make(gather_, {whole(rows_), segment, whole(albedo_), whole(source_),
-                                                 whole(radiosity_[now]), whole(radiosity_[1 - now]), whole(kinds_)}));
+      gather_sets_[now].push_back(
+          make(gather_, {whole(rows_), segment, whole(albedo_), whole(source_), whole(radiosity_[now]),
+                         whole(radiosity_[1 - now]), whole(kinds_), whole(faults_)}));
   }
   return failed;
 }
@@ -309,6 +336,7 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
                 span_list_.size() * sizeof(shaders::SlotSpan));
   slots_ = m.slots();
   changed_ = true;
+  pace_.forget();
   all_ = all;
   if (correction_) correction_->update(m, change, afresh);
   return {};
@@ -412,12 +440,12 @@ void VulkanGather::listSpans() {
 
 Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
   FF_CHECK_EQ(source.size(), size_t{slots_});
-  if (has_source_) {  // twice in a frame: the later counts
-    std::memcpy(staging_.mapped() + copies_to_source_.back().srcOffset, source.data(), source.size_bytes());
-    return {};
-  }
-  std::memcpy(stage(source_, 0, source.size_bytes(), copies_to_source_), source.data(), source.size_bytes());
+  auto* to = reinterpret_cast<Vec4*>(has_source_  // twice in a frame: the later counts
+                                         ? staging_.mapped() + copies_to_source_.back().srcOffset
+                                         : stage(source_, 0, source.size_bytes(), copies_to_source_));
+  repaired_ += copySound(source, {to, source.size()});
   has_source_ = true;
+  pace_.forget();
   return {};
 }
 
@@ -426,8 +454,9 @@ Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
   auto* to = reinterpret_cast<Vec4*>(
       has_radiosity_ ? staging_.mapped() + copies_to_radiosity_.back().srcOffset
                      : stage(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
-  for (size_t s = 0; s < radiosity.size(); ++s) to[s] = {radiosity[s].x, radiosity[s].y, radiosity[s].z, 0};
+  repaired_ += copySound(radiosity, {to, radiosity.size()});
   has_radiosity_ = true;
+  pace_.forget();
   return {};
 }
 
@@ -470,9 +499,9 @@ void VulkanGather::recordChange(VkCommandBuffer c) {
   separate(c);
 }
 
-void VulkanGather::recordIteration(VkCommandBuffer c, bool first) {
+void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
   for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
-    const shaders::GatherPush push{slots_, s};
+    const shaders::GatherPush push{slots_, s, omega};
     gather_.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
   }
   // The next step reads what this one wrote, the next iteration overwrites what this one read.
@@ -500,6 +529,11 @@ void VulkanGather::readTime(uint32_t frame, bool wait) {
 }
 
 Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
+  return recordSteps(c, iterations, [] { return 1.0f; });
+}
+
+template <class Omega>
+Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega) {
   FF_CHECK_EQ(matrix_ != nullptr, true);
   const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
   readTime(frame, false);
@@ -524,7 +558,7 @@ Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   changed_ = all_ = has_source_ = has_radiosity_ = false;
   left_ = 0;
   stamp(1);
-  for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0);
+  for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0, omega());
   if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
@@ -532,27 +566,64 @@ Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
   vkCmdCopyBuffer(c, radiosity_[now_].handle(), output_.handle(), 1, &out);
   barrier(c, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
           VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
+  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+          VK_ACCESS_HOST_READ_BIT);  // faults_
   ++frame_;
   region_used_ = 0;
   return {};
 }
 
-Result<void> VulkanGather::iterate(int k) {
-  double ms = 0;
+template <class Omega>
+Result<void> VulkanGather::runSteps(int k, Omega&& omega) {
   for (int done = 0; done < k;) {
     const int n = std::min(k - done, kIterationsPerSubmit);
     const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
     Result<void> recorded;
-    auto took = context_->run([&](VkCommandBuffer c) { recorded = record(c, n); });
+    auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega); });
     if (!recorded) return recorded;
     if (!took) return took.error();
+    const double before = last_ms_;
     last_ms_ = *took;
     readTime(frame, true);
-    ms += last_ms_;
+    last_ms_ += before;
     done += n;
   }
-  last_ms_ = ms;
   return {};
+}
+
+// A Jacobi step; the norm of its change over the leaves.
+Result<double> VulkanGather::runMeasuredStep() {
+  if (auto ran = runSteps(1, [] { return 1.0f; }); !ran) return ran.error();
+  auto took = context_->run([&](VkCommandBuffer c) {
+    const shaders::ChangePush push{slots_};
+    change_.dispatch(c, change_set_[1 - now_], &push, groupsOf(slots_, shaders::kGatherGroup));
+    barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+            VK_ACCESS_HOST_READ_BIT);
+  });
+  if (!took) return took.error();
+  double sum = 0;
+  for (uint32_t g = 0; g < groupsOf(slots_, shaders::kGatherGroup); ++g) {
+    float part = 0;
+    std::memcpy(&part, changes_.mapped() + g * sizeof(part), sizeof(part));
+    sum += static_cast<double>(part);
+  }
+  return std::sqrt(sum);
+}
+
+Result<void> VulkanGather::iterate(int k) {
+  last_ms_ = 0;
+  return runSteps(k, [] { return 1.0f; });
+}
+
+Result<void> VulkanGather::approach(int k) {
+  if (correction_ || !pace_.suits(k)) return iterate(k);
+  last_ms_ = 0;
+  const auto first = runMeasuredStep();
+  if (!first) return first.error();
+  const auto second = runMeasuredStep();
+  if (!second) return second.error();
+  pace_.learn(*first, *second);
+  return runSteps(k - 2, [this] { return pace_.omega(); });
 }
 
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {

@@ -1,8 +1,9 @@
 // The dense part of a recorded step: B' + C G r at leaves that have places. A matrix that is spoilt adds nothing, and one
-// whose product is not finite is.
+// whose product is no light is.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #include "shared.h"
+#include "sound.glsl"
 
 layout(local_size_x = kBounceGroup) in;
 layout(push_constant) uniform Push { CorrectPush push; };
@@ -19,7 +20,7 @@ void main() {
   if (slot == kTopSlot) return;
   vec3 e;
   for (uint c = 0u; c < 3u; ++c) e[c] = vectors[c * (4u * push.stride + kBounceBlock) + 3u * push.stride + place];
-  if (any(equal(floatBitsToUint(e) & 0x7f800000u, uvec3(0x7f800000u)))) {  // by its bits: drivers may take isnan() for false
+  if (!isSound(e)) {
     atomicMax(spoilt, kSpoiltNotFinite);
     return;
   }

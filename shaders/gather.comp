@@ -1,21 +1,26 @@
 // One Jacobi iteration of B = M + albedo * F B over the leaf slots: a subgroup takes a row, its lanes take uvec4 of entries
 // (column << 16 | count) side by side, and the subgroup adds up. Works for any subgroup size: lanes are counted, not assumed,
 // because a subgroup may be only partly filled and gl_SubgroupSize is then too large.
+// Where `omega` is not 1, `after` holds the values of two steps ago, and the step goes on from there, omega times as far
+// (Chebyshev semi-iteration); no value falls below its source. A source that is no light becomes 0, a result that is none
+// its source, and either is counted.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared.h"
+#include "sound.glsl"
 
 layout(local_size_x = kGatherGroup) in;
 layout(push_constant) uniform Push { GatherPush push; };
 layout(std430, binding = 0) readonly buffer Rows { GatherRow rows[]; };
 layout(std430, binding = 1) readonly buffer Entries { uvec4 entries[]; };
 layout(std430, binding = 2) readonly buffer Albedo { vec4 albedo[]; };  // w: area, m2
-layout(std430, binding = 3) readonly buffer Source { vec4 source[]; };
+layout(std430, binding = 3) buffer Source { vec4 source[]; };
 layout(std430, binding = 4) readonly buffer Before { vec4 before[]; };
 layout(std430, binding = 5) buffer After { vec4 after[]; };
 layout(std430, binding = 6) readonly buffer Kinds { uint kinds[]; };
+layout(std430, binding = 7) buffer Faults { uint repaired; };
 
 vec3 term(uint entry) { return float(entry & 0xffffu) * before[entry >> 16].rgb; }
 
@@ -37,6 +42,22 @@ void main() {
       sum += (term(e.x) + term(e.y)) + (term(e.z) + term(e.w));
     }
     sum = subgroupAdd(sum);
-    if (lane == 0u) after[slot] = vec4(source[slot].rgb + albedo[slot].rgb * (row.scale * sum), 0);
+    if (lane != 0u) continue;
+    vec3 m = source[slot].rgb;
+    if (!isSound(m)) {
+      m = vec3(0);
+      source[slot] = vec4(0);
+      atomicAdd(repaired, 1u);
+    }
+    vec3 b = m + albedo[slot].rgb * (row.scale * sum);
+    if (push.omega != 1.0) {
+      const vec3 old = after[slot].rgb;
+      b = max(m, old + push.omega * (b - old));
+    }
+    if (!isSound(b)) {
+      b = m;
+      atomicAdd(repaired, 1u);
+    }
+    after[slot] = vec4(b, 0);
   }
 }

@@ -18,6 +18,10 @@ struct alignas(16) mat4 {
 #define FF_CONST const
 #endif
 
+// Radiosity, W/m2, that a solver may hold: runtime/sound_light.h's limit of a caller's light, in a room that keeps all
+// but a thousandth. Its square times 65536 is still a number.
+FF_CONST float kMaxRadiosity = 1e15f;
+
 // --- gather*.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
@@ -61,6 +65,11 @@ struct JobPush {
 struct GatherPush {
   uint slots;
   uint segment;
+  float omega;  // 1: a Jacobi step; else one of the Chebyshev semi-iteration
+};
+// gather_change.comp
+struct ChangePush {
+  uint slots;
 };
 // Consecutive slots; those with one parent are neighbours, and none of their siblings is outside.
 struct SlotSpan {

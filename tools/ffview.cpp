@@ -112,7 +112,8 @@ int main(int argc, char** argv) {
   app.add_option("--max-patches", o.max_patches,
                  "of the finest level, active at once; default: as recommended beside the world, else all");
   app.add_option("--iterations", o.iterations, "of the solver per frame")->check(CLI::Range(1, 1000))->capture_default_str();
-  app.add_option("--settle", o.settle, "more of them, at most, before a picture: white closed rooms take some hundred")
+  app.add_option("--settle", o.settle,
+                 "more of them, at most, before a picture, until light stands still: white rooms take some hundred")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   app.add_option("--exposure", texts.exposure, "auto, or stops on radiosity in W/m2")->capture_default_str();
@@ -120,7 +121,7 @@ int main(int argc, char** argv) {
   app.add_option("--sun", texts.sun, "towards the sun: azimuth,elevation (degrees) or x,y,z");
   app.add_option("--sun-irradiance", texts.sun_irradiance, "r,g,b, W/m2 on a surface that faces it");
   app.add_option("--sky", texts.sky, "r,g,b of its radiance, W/(m2 sr); three more: added towards the zenith");
-  app.add_flag("--lamps-only", o.lamps_only, "neither sun nor sky");
+  app.add_flag("--lamps-only,--night", o.lamps_only, "neither sun nor sky");
   app.add_flag("--no-difference", no_difference, "no full-world solve to compare with");
   app.add_flag("--validate", o.device.validate, "run under the Vulkan validation layers; any message is an error");
   app.add_flag("--json", as_json, "print the figures as JSON");
@@ -143,5 +144,7 @@ int main(int argc, char** argv) {
   });
   if (!figures) return fail(figures.error());
   if (as_json) std::printf("%s\n", figures->dump(1).c_str());
+  if (const std::string undone = view::whatIsUndone(*figures); !undone.empty())
+    std::fprintf(stderr, "ffview: %s\n", undone.c_str());
   return 0;
 }

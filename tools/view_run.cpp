@@ -21,8 +21,7 @@ using nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
 constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
-// Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small. White cavities take
-// hundreds of iterations; what is left of them then shows in the comparison.
+// Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small.
 constexpr float kConverged = 1e-6f;
 constexpr double kAdaptionSeconds = 0.7;  // in which automatic exposure follows all but 1/e of a change
 
@@ -95,6 +94,17 @@ Result<void> writePictures(const Flight& f, const Rendered& drawn, const Picture
   return writePng(heat, (folder / names.difference).string());
 }
 
+// Empty: the frame has errors.
+std::string whyNotCompared(const Flight& f, const Comparison& comparison) {
+  if (!f.options.compare) return "--no-difference leaves the full-world solve out";
+  if (comparison.patches_compared > 0) return {};
+  char radius[32];
+  std::snprintf(radius, sizeof(radius), "%.3g", static_cast<double>(0.5f * f.radius_m));
+  return "no patch within " + std::string(radius) +
+         " m of the eye, half the radius, is lit by itself: raise --radius, or "
+         "bring the eye nearer";
+}
+
 Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t) {
   const View view = f.camera.at(t);
   const Vec3 velocity = f.camera.velocityAt(t);
@@ -104,8 +114,8 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto r = streamer.settle(); !r) return r.error();
   auto stats = updater.frame(view.eye, velocity, f.options.iterations);
   if (!stats) return stats.error();
-  auto iterations = updater.converge(kConverged, f.options.settle);
-  if (!iterations) return iterations.error();
+  auto settled = updater.converge(kConverged, f.options.settle);
+  if (!settled) return settled.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();
   std::vector<runtime::Vec4> radiosity(matrix.slots());
@@ -130,18 +140,34 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (auto w = writePictures(f, *drawn, names, exposure); !w) return w.error();
 
   const stream::StreamStats s = streamer.stats();
-  json j = {{"frame", frame}, {"t", t}, {"eye", triple(view.eye)}, {"slots", stats->slots}, {"leaves", stats->leaves},
-            {"level0_leaves", stats->level0_leaves}, {"entries", stats->entries}, {"matrix_ms", stats->matrix_ms},
-            {"solve_ms", stats->solve_ms}, {"solve_iterations", f.options.iterations},
-            {"iterations_to_converge", *iterations}, {"draw_ms", draw_ms}, {"bytes_read", s.bytes_read - bytes_before},
-            {"resident_bytes", s.resident_bytes}, {"strips_failed", s.failed}, {"exposure_stops", f.stops},
-            {"direct_picture", names.direct}, {"bounce_picture", names.bounce}};
+  json j = {{"frame", frame},
+            {"t", t},
+            {"eye", triple(view.eye)},
+            {"slots", stats->slots},
+            {"leaves", stats->leaves},
+            {"level0_leaves", stats->level0_leaves},
+            {"entries", stats->entries},
+            {"matrix_ms", stats->matrix_ms},
+            {"solve_ms", stats->solve_ms},
+            {"solve_iterations", f.options.iterations},
+            {"iterations_to_converge", settled->iterations},
+            {"settled", settled->settled},
+            {"settle_change", settled->change},
+            {"draw_ms", draw_ms},
+            {"bytes_read", s.bytes_read - bytes_before},
+            {"resident_bytes", s.resident_bytes},
+            {"strips_failed", s.failed},
+            {"exposure_stops", f.stops},
+            {"direct_picture", names.direct},
+            {"bounce_picture", names.bounce}};
   if (f.options.compare) {
     j["difference_picture"] = names.difference;
     j["patches_compared"] = comparison.patches_compared;
-    j["reflected_error_inner"] = comparison.patches_compared ? json(comparison.reflected_error) : json(nullptr);
-    j["bounced_error_inner"] = comparison.patches_compared ? json(comparison.bounced_error) : json(nullptr);
   }
+  const std::string why = whyNotCompared(f, comparison);
+  j["reflected_error_inner"] = why.empty() ? json(comparison.reflected_error) : json(nullptr);
+  j["bounced_error_inner"] = why.empty() ? json(comparison.bounced_error) : json(nullptr);
+  if (!why.empty()) j["not_compared_because"] = why;
   return j;
 }
 
@@ -244,7 +270,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     auto solver = makeSolver(*world, **streamer, *context, options.solver);
     if (!solver) return solver.error();
     runtime::Updater updater(*world, **streamer, **solver);
-    updater.setSky(f.light.sky);
+    if (auto taken = updater.setSky(f.light.sky); !taken) return taken.error();
     updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
       const auto values = f.sun_on_nodes.tile(*world, id);
       std::copy(values.begin(), values.end(), out.begin());
@@ -265,6 +291,22 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
   if (auto r = refuseMessages(**context); !r) return r.error();
   if (auto r = writeFigures(figures, (std::filesystem::path(options.out_folder) / "figures.json").string()); !r) return r.error();
   return figures;
+}
+
+std::string whatIsUndone(const json& figures) {
+  size_t undone = 0;
+  double most = 0;
+  for (const json& frame : figures["frames"]) {
+    if (frame["settled"]) continue;
+    ++undone;
+    most = std::max(most, frame["settle_change"].is_number() ? frame["settle_change"].get<double>() : 1);
+  }
+  if (undone == 0) return {};
+  char change[32];
+  std::snprintf(change, sizeof(change), "%.2g", most);
+  return "light has not settled in " + std::to_string(undone) + " of " + std::to_string(figures["frames"].size()) +
+         " pictures: the last iteration still changed it by up to " + change +
+         " of the largest radiosity; raise --settle";
 }
 
 }  // namespace ff::view

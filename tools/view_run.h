@@ -24,14 +24,19 @@ struct RunOptions {
   std::optional<runtime::Sky> sky;
   bool lamps_only = false;               // neither sun nor sky
   int iterations = 8;                    // a frame
-  int settle = 64;                       // at most, more of them before a picture; white closed rooms take some hundred
+  int settle = 4000;  // at most, more of them before a picture: until light changes by less than 1e-6
   uint32_t samples = 2;                  // per pixel and axis
   bool compare = true;                   // full-world solve and difference pictures
 };
 
-// Writes NAME_0000_direct.png, _bounce.png, _difference.png, ... and figures.json into out_folder (made if missing), and
-// returns what figures.json holds. `say` gets lines of progress. With device.validate, any message of the layers is
-// an error. Errors: kIo, kInvalidFile, kUsage.
+// Writes NAME_0000_direct.png, _bounce.png, _difference.png, ... and figures.json into out_folder (made if missing),
+// and returns what figures.json holds. `say` gets lines of progress. With device.validate, any message of the layers is
+// an error. Each frame says whether its light settled, and what the last iteration changed. Errors: kIo, kInvalidFile,
+// kUsage.
 Result<nlohmann::json> run(const RunOptions& options, const std::function<void(const std::string&)>& say);
+
+// Which pictures' light had not settled, by how much, and what to do about it, from what run() returned; empty: all
+// had.
+std::string whatIsUndone(const nlohmann::json& figures);
 
 }  // namespace ff::view

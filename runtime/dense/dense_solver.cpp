@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "runtime/dense/bounce_probe.h"
+#include "runtime/sound_light.h"
 
 namespace ff::runtime {
 namespace {
@@ -75,7 +76,7 @@ class Dense final : public DenseSolver {
 
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
-    std::copy(source.begin(), source.end(), source_.begin());
+    repaired_ += copySound(source, source_);
     before_ = -1;
     return {};
   }
@@ -85,9 +86,9 @@ class Dense final : public DenseSolver {
     FF_CHECK_EQ(radiosity.size(), radiosity_.size());
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto solve = [](float b, float m, float rho) { return rho > 1e-3f ? std::max(0.0f, (b - m) / rho) : 0.0f; };
+    repaired_ += copySound(radiosity, radiosity_);
     for (uint32_t s = 0; s < radiosity.size(); ++s) {
-      const Vec4 b = radiosity[s], m = source_[s], rho = matrix_->albedo[s];
-      radiosity_[s] = {b.x, b.y, b.z, 0};
+      const Vec4 b = radiosity_[s], m = source_[s], rho = matrix_->albedo[s];
       irradiance_[s] = {solve(b.x, m.x, rho.x), solve(b.y, m.y, rho.y), solve(b.z, m.z, rho.z), 0};
     }
     before_ = -1;
@@ -118,6 +119,7 @@ class Dense final : public DenseSolver {
     return {};
   }
 
+  uint64_t repaired() const override { return repaired_; }
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return name_.c_str(); }
   const DenseStats& stats() const override { return stats_; }
@@ -154,23 +156,41 @@ class Dense final : public DenseSolver {
     stats_.last_event = std::move(why);
     if (auto cleared = bounces_->clear(); !cleared) return cleared;
     places_.clear();
-    rebuilding_ = true;
+    rebuilding_ = settings_.correct;
     countPlaces();
     probe_.builtAnew();
     before_ = -1;
-    return {};
+    return settings_.correct ? Result<void>() : enter(bounces_->capacity());  // a baseline has nothing else
   }
 
   void compose() {
-    for (const uint32_t s : matrix_->leaves) radiosity_[s] = source_[s] + matrix_->albedo[s] * irradiance_[s];
+    for (const uint32_t s : matrix_->leaves) {
+      radiosity_[s] = source_[s] + matrix_->albedo[s] * irradiance_[s];
+      if (isSound(radiosity_[s])) continue;
+      radiosity_[s] = source_[s];
+      ++repaired_;
+    }
     rows_.refine(places_.blocks(), radiosity_);
     rows_.refine(places_.blocks(), irradiance_);  // for slots that become leaves when their children leave
   }
 
-  Result<void> relight() {
+  // E = G M of what is on places; how many values of it were no light and are 0.
+  Result<uint32_t> product() {
     for (uint32_t p = 0; p < bounces_->capacity(); ++p)
       by_place_[p] = places_.slotOf(p) != kNoSlot ? source_[places_.slotOf(p)] : Vec4{};
-    if (auto lit = bounces_->relight(by_place_, out_by_place_); !lit) return lit;
+    if (auto lit = bounces_->relight(by_place_, out_by_place_); !lit) return lit.error();
+    return copySound(out_by_place_, out_by_place_);
+  }
+
+  Result<void> relight() {
+    auto unsound = product();
+    if (!unsound) return unsound.error();
+    if (*unsound > 0) {
+      repaired_ += *unsound;
+      if (auto rebuilt = startRebuild("the matrix is not finite"); !rebuilt) return rebuilt;
+      if (unsound = product(); !unsound) return unsound.error();
+      repaired_ += *unsound;
+    }
     for (uint32_t p = 0; p < bounces_->capacity(); ++p)
       if (places_.slotOf(p) != kNoSlot) irradiance_[places_.slotOf(p)] = out_by_place_[p];
     return {};
@@ -185,7 +205,10 @@ class Dense final : public DenseSolver {
       left += squared(residual_[s]);
       norm += squared(irradiance_[s] + residual_[s]);  // F (M + C E)
     }
-    if (!std::isfinite(left)) {  // nothing of E can be kept
+    uint32_t unsound = 0;
+    for (const uint32_t s : matrix_->leaves) unsound += !isSound(irradiance_[s] + residual_[s]);
+    if (unsound > 0) {  // nothing of E can be kept
+      repaired_ += unsound;
       std::fill(irradiance_.begin(), irradiance_.end(), Vec4{});
       return startRebuild("radiosity was not finite");
     }
@@ -199,9 +222,8 @@ class Dense final : public DenseSolver {
         by_place_[p] = s != kNoSlot ? matrix_->albedo[s] * residual_[s] : Vec4{};
       }
       if (auto lit = bounces_->relight(by_place_, out_by_place_); !lit) return lit;
-      double all = 0;
-      for (const Vec4& e : out_by_place_) all += squared(e);
-      if (!std::isfinite(all)) {
+      if (const uint32_t wrong = copySound(out_by_place_, out_by_place_); wrong > 0) {
+        repaired_ += wrong;
         if (auto rebuilt = startRebuild("the matrix is not finite"); !rebuilt) return rebuilt;
       }
       for (uint32_t p = 0; p < bounces_->capacity(); ++p)  // after a rebuild there is none
@@ -233,6 +255,7 @@ class Dense final : public DenseSolver {
   bool rebuilding_ = false;
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
   double last_ms_ = 0;
+  uint64_t repaired_ = 0;
   DenseStats stats_;
 };
 

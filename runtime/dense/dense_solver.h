@@ -40,7 +40,7 @@ struct DenseStats {
   uint32_t on_places = 0;
   uint32_t waiting = 0;      // leaves that wait for a place or their turn
   uint64_t refused = 0;      // blocks that the matrix refused: their nodes are left to the sparse rows
-  uint64_t rebuilds = 0;     // by the probe, or because errors grew
+  uint64_t rebuilds = 0;     // by the probe, because errors grew, or because something was not finite
   double probe = 0;          // the last complete round's ratio
   double residual = 0;       // ||r|| / ||F M|| before the last correction
   std::string last_event{};  // why the last rebuild or refusal was; empty: none yet

@@ -41,7 +41,7 @@ class Halving final : public Solver {
   float value_;
 };
 
-Result<int> run(Halving& solver, const Convergence& until, std::array<Vec4, 1>& last) {
+Result<Settled> run(Halving& solver, const Convergence& until, std::array<Vec4, 1>& last) {
   std::array<Vec4, 1> before{};
   return converge(solver, until, last, before);
 }
@@ -52,7 +52,9 @@ TEST(Converge, ApproachesAndLooksAtOneStepMoreUntilThatChangesNothing) {
   const auto done = run(solver, {.tolerance = 1e-5f}, last);
   ASSERT_TRUE(done);
   // 1e-3, halved: a change of 5e-4. Then 5e-7, and 2.5e-7.
-  EXPECT_EQ(*done, 16);
+  EXPECT_EQ(done->iterations, 16);
+  EXPECT_TRUE(done->settled);
+  EXPECT_NEAR(done->change, 2.5e-7, 1e-7);  // of values near 1, whose rounding is 6e-8
   EXPECT_EQ(solver.iterated, 2);
   EXPECT_EQ(solver.approached, 14);
   EXPECT_NEAR(last[0].x, 1, 1e-6);
@@ -61,18 +63,31 @@ TEST(Converge, ApproachesAndLooksAtOneStepMoreUntilThatChangesNothing) {
 TEST(Converge, TakesAtLeastTheFewestAndAtMostWhatIsAllowed) {
   Halving two;
   std::array<Vec4, 1> last{};
-  EXPECT_EQ(*run(two, {.tolerance = 1, .fewest = 2}, last), 2);
+  EXPECT_EQ(run(two, {.tolerance = 1, .fewest = 2}, last)->iterations, 2);
   EXPECT_EQ(two.approached, 1);
   Halving never;
-  EXPECT_EQ(*run(never, {.tolerance = -1, .max_iterations = 100}, last), 100);
+  const auto undone = run(never, {.tolerance = -1, .max_iterations = 100}, last);
+  EXPECT_EQ(undone->iterations, 100);
+  EXPECT_FALSE(undone->settled);
   EXPECT_EQ(never.iterated + never.approached, 100);
 }
 
-TEST(Converge, LightThatIsNotFiniteCountsAsSettledAndShowsInTheFigures) {
+TEST(Converge, SaysHowFarTheLightIsFromSettledWhereItStops) {
+  Halving solver;
+  std::array<Vec4, 1> last{};
+  const auto done = run(solver, {.tolerance = 1e-9f, .max_iterations = 8}, last);
+  ASSERT_TRUE(done);
+  EXPECT_FALSE(done->settled);
+  EXPECT_NEAR(done->change, 5e-4, 1e-6);  // from 1 - 1e-3, halved, over 1 - 5e-4
+}
+
+TEST(Converge, LightThatIsNotFiniteIsNotSettledAndStopsAtOnce) {
   Halving solver(std::numeric_limits<float>::infinity());
   std::array<Vec4, 1> last{};
-  EXPECT_EQ(*run(solver, {}, last), 8);
-  EXPECT_FALSE(std::isfinite(last[0].x));
+  const auto done = run(solver, {}, last);
+  EXPECT_EQ(done->iterations, 8);
+  EXPECT_FALSE(done->settled);
+  EXPECT_EQ(done->change, std::numeric_limits<double>::infinity());
 }
 
 TEST(Converge, PassesOnWhatTheSolverSays) {

@@ -78,7 +78,7 @@ TEST_F(Formfield, GivesTheLightOfTheRuntimeBeneath) {
   const auto streamer = std::move(*stream::Streamer::create(test_.world(), {.radius_m = 8, .hysteresis = 1}));
   const auto solver = makeCpuGather(2);
   Updater updater(test_.world(), *streamer, *solver);
-  updater.setSky({{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}});
+  ASSERT_TRUE(updater.setSky({{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}}));
   updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
     for (uint32_t i = 0; i < out.size(); ++i)
       out[i] = directAt(id.level, test_.world().tiles(id.level)[id.tile].first_node + i);

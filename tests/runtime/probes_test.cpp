@@ -68,7 +68,7 @@ struct Frame {
         updater(of, *streamer, *solver),
         slots(of),
         probes(of, slots, settings) {
-    updater.setSky(sky);
+    EXPECT_TRUE(updater.setSky(sky));
     updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) {
       const auto values = sun.tile(world, id);
       std::copy(values.begin(), values.end(), out.begin());

@@ -7,12 +7,13 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <functional>
 #include <random>
 #include <vector>
 
 #include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
-#include "tests/runtime/hand_made.h"
+#include "tests/runtime/bad_numbers.h"
 #include "tests/runtime/validated_vulkan.h"
 
 namespace ff::runtime {
@@ -301,6 +302,67 @@ TEST_F(VkGather, GivesTheSameBitsEveryTime) {
 }
 
 // The gate that all tests above lean on: a wrong call does leave a message.
+TEST_F(VkGather, BadNumbersLeaveNoTrace) {
+  const LocalMatrix m = randomMatrix(700, 100, 2, 31, 0.8);
+  const auto make = [&] {
+    auto solver = makeVulkanGather(context_);
+    EXPECT_TRUE(solver);
+    return std::move(*solver);
+  };
+  expectBadNumbersLeaveNoTrace(make, m, tolerance(m, 10));  // of the steps whose light still counts: 0.7^10 = 0.03
+  expectAStepKeepsNothingUnsound(make, m);
+}
+
+// As CpuGather.ApproachSettlesAClosedBoxInAFourthOfTheSteps.
+TEST_F(VkGather, ApproachSettlesInHalfTheStepsAsOnTheCpu) {
+  // A ring whose slots see their four neighbours to either side and nothing else: reciprocal, and it keeps its light.
+  LocalMatrix m;
+  constexpr uint32_t kSlots = 300, kSide = 4;
+  m.albedo.assign(kSlots, {0.98f, 0.97f, 0.9f, 0});
+  m.area_m2.assign(kSlots, 1);
+  m.leaf.assign(kSlots, 1);
+  m.row_scale.assign(kSlots, 1.0f / (2 * kSide));
+  for (uint32_t s = 0; s < kSlots; ++s) {
+    m.row_start.push_back(8 * s);
+    for (uint32_t k = 1; k <= kSide; ++k)
+      for (const uint32_t column : {(s + k) % kSlots, (s + kSlots - k) % kSlots}) m.entries.push_back(column << 16 | 1);
+  }
+  m.row_start.push_back(8 * kSlots);
+  m.refined_level_start = {0};
+  finishByHand(m);
+  const std::vector<Vec4> source = randomSource(m.slots(), 33);
+  const std::vector<Rgb> want = reference(m, source, std::vector<Rgb>(m.slots()), 3000);
+  const auto errorAfter = [&](Solver& solver, const std::function<Result<void>()>& steps) {
+    EXPECT_TRUE(setMatrix(solver, m));
+    EXPECT_TRUE(solver.setSource(source));
+    EXPECT_TRUE(steps());
+    std::vector<Vec4> got(m.slots());
+    EXPECT_TRUE(solver.radiosity(got));
+    double error = 0, norm = 0;
+    for (const uint32_t s : m.leaves) {
+      const float g[3] = {got[s].x, got[s].y, got[s].z};
+      for (int c = 0; c < 3; ++c) {
+        error += std::pow(static_cast<double>(g[c]) - want[s].v[c], 2);
+        norm += std::pow(want[s].v[c], 2);
+      }
+    }
+    return std::sqrt(error / norm);
+  };
+  auto vulkan = makeVulkanGather(context_);
+  ASSERT_TRUE(vulkan);
+  const auto cpu = makeCpuGather(2);
+  const double jacobi = errorAfter(**vulkan, [&] { return (*vulkan)->iterate(160); });
+  const auto fourTimes = [](Solver& solver) {  // each call knows better how slowly light decays
+    for (int i = 0; i < 3; ++i)
+      if (auto approached = solver.approach(20); !approached) return approached;
+    return solver.approach(20);
+  };
+  const double approached = errorAfter(**vulkan, [&] { return fourTimes(**vulkan); });
+  const double on_cpu = errorAfter(*cpu, [&] { return fourTimes(*cpu); });
+  EXPECT_LT(approached, 0.5 * jacobi);
+  EXPECT_NEAR(approached, on_cpu, 0.01 * on_cpu);
+}
+
 TEST(VkContext, KeepsTheMessagesOfTheValidationLayers) {
   auto c = openVulkan({.device = "auto", .validate = true, .gpu_assisted = false});
   if (!c) GTEST_SKIP() << "no Vulkan device with validation layers, nothing was tested: " << c.error().line();

@@ -82,7 +82,7 @@ Result<void> RunningCut::setLight(const LitWorld& light) {
 
 Result<void> RunningCut::step(int k) { return solver_->iterate(k); }
 
-Result<int> RunningCut::settle() {
+Result<runtime::Settled> RunningCut::settle() {
   before_.resize(source_.size());
   radiosity_.resize(source_.size());
   return converge(*solver_, {.fewest = isDense(knobs_.method) ? 2 : Convergence{}.fewest}, radiosity_, before_);

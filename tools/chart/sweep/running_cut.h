@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "runtime/converge.h"
 #include "runtime/matrix_assembler.h"
 #include "runtime/solver.h"
 #include "stream/streamer.h"
@@ -29,8 +30,8 @@ class RunningCut {
   Result<void> moveTo(Vec3 observer);
   // Light for the slots; for FarLight::kConstant, the best constant there is: the mean of what is outside.
   Result<void> setLight(const LitWorld& light);
-  // Steps of the solver as Updater::converge() takes them (runtime/converge.h); returns how many.
-  Result<int> settle();
+  // Steps of the solver as Updater::converge() takes them (runtime/converge.h).
+  Result<runtime::Settled> settle();
   Result<void> step(int k);
   // Irradiance of patches (level-0 node numbers), 3 each: direct light and, through surfaces, the radiosity of the slot by
   // its albedo, of a patch that is not active that of its nearest active ancestor, as the viewer draws it. Of a black slot

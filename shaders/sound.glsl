@@ -1,0 +1,4 @@
+// Whether light is finite and within kMaxRadiosity; by its bits, since drivers may take isnan() for false.
+bool isSound(vec3 v) {
+  return all(lessThanEqual(floatBitsToUint(v) & 0x7fffffffu, uvec3(floatBitsToUint(kMaxRadiosity))));
+}
