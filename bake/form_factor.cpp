@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "bake/cosine_rays.h"
+#include "bake/sealed.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
@@ -20,16 +21,6 @@ struct Scratch {
   std::vector<Ray> rays;
   std::vector<Vec3> normals;
 };
-
-bool isBuried(const RayCaster& caster, Vec3 origin, Vec3 normal) {
-  const Frame frame = frameOf(normal);
-  for (int k = 0; k < 4; ++k) {
-    const Vec3 side = (k & 1 ? frame.tangent : frame.bitangent) * (k & 2 ? 1.0f : -1.0f);
-    const Hit hit = caster.nearest({origin, normalized(frame.normal + side)});
-    if (hit.triangle == kNone || hit.front) return false;
-  }
-  return true;
-}
 
 uint32_t raysOfLamps(const PatchSet& set, uint32_t rays) {
   const auto lamps = static_cast<size_t>(std::count_if(set.patches.begin(), set.patches.end(), [](const Patch& p) { return p.emits(); }));

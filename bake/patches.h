@@ -1,24 +1,23 @@
-// Cuts a scene's triangles into patches: pieces of surface that touch, in one grid cell and one orientation class, and
-// one lamp group or none, all as much enclosed. A thin wall's two sides, two floors in one cell, a lamp and its shade,
-// a wall and what of it is behind the skirting board are never one patch. Surface in a pocket (pieces.h), where no light gets
-// to, has none: the inside of closed tubes, of walls that are modelled from both sides. Crumbs (components under
-// `crumb_fraction` of a cell face) join the nearest patch of their cell and class. Double-sided surfaces get a patch a side.
+// Cuts a scene's triangles into patches: pieces of surface that are connected, in one grid cell, one orientation class and one
+// lamp group or none. A thin wall's two sides, two floors in one cell, a lamp and its shade, a floor on both sides of a wall that
+// stands on it (fences.h) are never one patch. Sealed surface (sealed.h), which no light gets to, has none. Crumbs join a
+// neighbour (components.h), so that a patch may reach a little over its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
 #include <cstdint>
 #include <span>
 #include <vector>
 
+#include "bake/components.h"
 #include "bake/hilbert.h"
 #include "bake/lamp_groups.h"
-#include "bake/pieces.h"
+#include "bake/polygon.h"
+#include "bake/ray_caster.h"
 #include "bake/scene.h"
 #include "formats/layout.h"
 
 namespace ff::bake {
 
 inline constexpr uint32_t kOrientations = 6;  // dominant axis of the normal and its sign: +x -x +y -y +z -z
-
-inline constexpr uint32_t kSealed = kNone - 1;  // what patchAt() says of surface in a pocket: it has no patch
 
 struct Patch {
   Cell cell{};
@@ -27,7 +26,6 @@ struct Patch {
   uint16_t lamp_group = formats::kNoLampGroup;  // of its material, if that emits: emitters of two groups, or one and
                                                 // what holds it, never share a patch or a cluster
   bool emits() const { return lamp_group != formats::kNoLampGroup; }
-  Enclosure enclosure = Enclosure::kOpen;
   float area_m2 = 0;        // cutout holes are not counted
   Vec3 centroid, normal;    // m; area-weighted means
   Vec3 albedo, emission;    // linear RGB; M in W/m2
@@ -44,14 +42,13 @@ struct PatchTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, enclosure, first piece)
+  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
   float cell_m = 1;
-  double area_m2 = 0, sealed_m2 = 0;     // of the patches; of what lies in pockets and has none
+  double area_m2 = 0, sealed_m2 = 0;     // of the patches; of sealed surface, which has none
 
   // The patch that covers point p of scene triangle t on its front or back side; kNone where that side has none,
-  // kSealed in a pocket.
-  // A point that rounding puts just outside all pieces gets the piece of the nearest cell.
+  // kSealed where it is sealed. A point that rounding puts just outside all pieces gets the piece of the nearest cell.
   uint32_t patchAt(uint32_t t, bool front, Vec3 p) const {
     const uint32_t first = piece_start_[t], last = piece_start_[t + 1];
     if (last - first == 1) return pieces_[first].patch[front ? 0 : 1];
@@ -61,14 +58,18 @@ class PatchSet {
  private:
   friend class PatchBuilder;
   struct CutPiece {
-    uint32_t depth;
-    Cell cube;                           // see Piece
+    Cell cell;
     uint32_t patch[2] = {kNone, kNone};  // front, back
+    uint32_t first_rim = 0, rims = 0;    // its outline where a triangle has several pieces in a cell
+  };
+  struct Rim {  // the line through a side of a polygon; cells
+    Point at, inward;
   };
   uint32_t searchPatch(uint32_t t, bool front, Vec3 p) const;
 
   std::vector<uint32_t> piece_start_;  // per scene triangle
-  std::vector<CutPiece> pieces_;       // by triangle, (depth, cube) ascending
+  std::vector<CutPiece> pieces_;       // by triangle, cells ascending
+  std::vector<Rim> rims_;
 };
 
 struct PatchSettings {
@@ -79,7 +80,7 @@ struct PatchSettings {
 };
 
 // Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.
-// caster: of the scene; null: all counts as open.
+// caster: of the scene; null: nothing is parted, nothing sealed.
 Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster = nullptr);
 
 }  // namespace ff::bake

@@ -2,6 +2,7 @@
 
 #include <embree3/rtcore.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <string>
@@ -136,6 +137,26 @@ bool RayCaster::occluded(const Ray& ray, float distance_m) const {
   rtcInitIntersectContext(&context);
   rtcOccluded1(state_->embree, &context, &r);
   return r.tfar < 0;
+}
+
+void RayCaster::near(Vec3 point, float distance_m, std::vector<uint32_t>& triangles) const {
+  struct Answer {
+    const State& state;
+    std::vector<uint32_t>& triangles;
+  } answer{*state_, triangles};
+  triangles.clear();
+  RTCPointQuery query{point.x, point.y, point.z, 0, distance_m};
+  RTCPointQueryContext context;
+  rtcInitPointQueryContext(&context);
+  rtcPointQuery(
+      state_->embree, &query, &context,
+      [](RTCPointQueryFunctionArguments* args) {
+        auto& to = *static_cast<Answer*>(args->userPtr);
+        to.triangles.push_back(to.state.source[args->geomID][args->primID]);
+        return false;  // the distance stays
+      },
+      &answer);
+  std::sort(triangles.begin(), triangles.end());
 }
 
 float RayCaster::surfaceOffset(uint32_t triangle) const {

@@ -2,6 +2,7 @@
 #pragma once
 #include <limits>
 #include <memory>
+#include <vector>
 
 #include "bake/scene.h"
 
@@ -28,6 +29,8 @@ class RayCaster {
   // Thread-safe. Rays pass through the holes of cutout materials.
   Hit nearest(const Ray& ray, float within_m = std::numeric_limits<float>::infinity()) const;
   bool occluded(const Ray& ray, float distance_m) const;
+  // The triangles whose bounding boxes come within a distance of a point, ascending.
+  void near(Vec3 point, float distance_m, std::vector<uint32_t>& triangles) const;
   // How far to lift an origin off this triangle so that rounding cannot put it behind, m: some 25 units in the last place of the
   // triangle's own largest coordinate, whatever else is in the scene.
   float surfaceOffset(uint32_t triangle) const;

@@ -138,50 +138,35 @@ TEST(Patches, TheBackOfASingleSidedSurfaceHasNone) {
   EXPECT_EQ(set->patchAt(0, false, {0.5f, 0, 0.7f}), kNone);
 }
 
-// A wall of 1 m at x = 0 that looks to +x, and a board of `height` m in front of its foot, `gap` m off.
-Scene wallBehindBoard(float height, float gap) {
-  Scene s;
-  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
-  addQuad(s, {0, 0, 0}, {0, 1, 0}, {0, 1, 1}, {0, 0, 1}, m);
-  addBlock(s, {gap, 0, 0}, {gap + 0.05f, height, 1}, m);
-  return s;
+int astray(const PatchSet& set) {  // triangles' middles that patchAt() does not find again
+  int n = 0;
+  for (uint32_t p = 0; p < set.patches.size(); ++p)
+    for (uint32_t k = 0; k < set.patches[p].triangles; ++k) {
+      const PatchTriangle& t = set.triangles[set.patches[p].first_triangle + k];
+      n += set.patchAt(t.source, true, (t.a + t.b + t.c) / 3.0f) != p;
+    }
+  return n;
 }
 
-TEST(Patches, AWallAndWhatOfItIsBehindABoardAreTwoPatches) {
-  for (const float height : {0.25f, 0.5f, 0.7f}) {
-    const Scene s = wallBehindBoard(height, 0.05f);
+TEST(Patches, WhatOfAWallIsBehindABoardOnItTakesNoPart) {
+  for (const float height : {0.02f, 0.25f, 0.5f, 0.7f}) {
+    Scene s;
+    const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+    addQuad(s, {0, 0, 0}, {0, 1, 0}, {0, 1, 1}, {0, 0, 1}, m);
+    addBlock(s, {0, 0, 0}, {0.05f, height, 1}, m);
     const auto caster = RayCaster::create(s);
     const auto set = makePatches(s, {.cell_m = 1}, &*caster), blind = makePatches(s, {.cell_m = 1});
     ASSERT_TRUE(caster && set && blind);
-    const uint32_t above = set->patchAt(0, true, {0, 0.93f, 0.5f}), behind = set->patchAt(1, true, {0, 0.1f, 0.5f});
-    ASSERT_NE(above, behind) << height << " m";
-    EXPECT_EQ(set->patches[above].enclosure, Enclosure::kOpen);
-    EXPECT_EQ(set->patches[behind].enclosure, Enclosure::kCrevice);
-    // Cut at eighths of the cell; where rays leave through the gap's ends it is open.
-    EXPECT_NEAR(set->patches[behind].area_m2, height, 0.17) << height;
-    EXPECT_NEAR(set->patches[above].area_m2 + set->patches[behind].area_m2, 1, 1e-5);
-    EXPECT_EQ(blind->patchAt(0, true, {0, 0.93f, 0.5f}), blind->patchAt(1, true, {0, 0.1f, 0.5f}));
-    int astray = 0;
-    for (uint32_t p = 0; p < set->patches.size(); ++p)
-      for (uint32_t k = 0; k < set->patches[p].triangles; ++k) {
-        const PatchTriangle& t = set->triangles[set->patches[p].first_triangle + k];
-        astray += set->patchAt(t.source, true, (t.a + t.b + t.c) / 3.0f) != p;
-      }
-    EXPECT_EQ(astray, 0);
+    const uint32_t above = set->patchAt(0, true, {0, 0.93f, 0.5f});
+    ASSERT_LT(above, set->patches.size()) << height;
+    EXPECT_EQ(set->patchAt(1, true, {0, height / 2, 0.9f}), kSealed) << height;
+    EXPECT_NEAR(set->patches[above].area_m2, 1 - height, 1e-5) << height;
+    EXPECT_EQ(blind->patchAt(0, true, {0, 0.93f, 0.5f}), blind->patchAt(1, true, {0, height / 2, 0.9f}));
+    EXPECT_EQ(astray(*set), 0);
   }
 }
 
-TEST(Patches, AnOpenWallAndOneWithALittleBehindABoardStayOne) {
-  for (const float height : {0.02f, 0.04f}) {
-    const Scene s = wallBehindBoard(height, 0.02f);
-    const auto caster = RayCaster::create(s);
-    const auto set = makePatches(s, {.cell_m = 1}, &*caster);
-    ASSERT_TRUE(caster && set);
-    EXPECT_EQ(set->patchAt(0, true, {0, 0.93f, 0.5f}), set->patchAt(1, true, {0, 0.005f, 0.9f})) << height;
-  }
-}
-
-TEST(Patches, WhatLightDoesNotGetOutOfHasNoPatchAndAHoleMakesItACrevice) {
+TEST(Patches, WhatLightDoesNotGetOutOfHasNoPatchAndAHoleGivesItOne) {
   for (const float hole : {0.0f, 0.08f}) {
     Scene s;
     const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
@@ -193,13 +178,12 @@ TEST(Patches, WhatLightDoesNotGetOutOfHasNoPatchAndAHoleMakesItACrevice) {
     const auto set = makePatches(s, {.cell_m = 1}, &*caster);
     ASSERT_TRUE(caster && set);
     const uint32_t inside = set->patchAt(10, false, {0.35f, 0.5f, 0.4f}), outside = set->patchAt(10, true, {0.35f, 0.5f, 0.4f});
-    EXPECT_EQ(set->patches[outside].enclosure, Enclosure::kOpen);
+    EXPECT_LT(outside, set->patches.size());
     if (hole == 0) {
       EXPECT_EQ(inside, kSealed);
       EXPECT_NEAR(set->sealed_m2, 6 * 0.2 * 0.2, 1e-5);
     } else {
       ASSERT_LT(inside, set->patches.size());
-      EXPECT_EQ(set->patches[inside].enclosure, Enclosure::kCrevice);
       EXPECT_EQ(set->sealed_m2, 0);
     }
   }
@@ -222,14 +206,7 @@ TEST(Patches, CuttingKeepsTheAreaOfArbitraryTrianglesAndFindsEveryPointAgain) {
   const auto set = makePatches(s, {.cell_m = 0.7f});
   ASSERT_TRUE(set);
   EXPECT_NEAR(areaOf(*set) / area, 1, 1e-5);
-  int astray = 0, points = 0;
-  for (uint32_t p = 0; p < set->patches.size(); ++p)
-    for (uint32_t k = 0; k < set->patches[p].triangles; ++k) {
-      const PatchTriangle& t = set->triangles[set->patches[p].first_triangle + k];
-      ++points;
-      astray += set->patchAt(t.source, true, (t.a + t.b + t.c) / 3.0f) != p;
-    }
-  EXPECT_EQ(astray, 0) << "of " << points;
+  EXPECT_EQ(astray(*set), 0);
 }
 
 TEST(Patches, TheHilbertCurveVisitsEveryCubeOfCellsInOneGo) {

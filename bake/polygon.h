@@ -1,0 +1,71 @@
+// Convex polygons in space, in units of cells: cut by planes, clipped, compared border to border.
+#pragma once
+#include <cmath>
+#include <vector>
+
+namespace ff::bake {
+
+struct Point {
+  double x = 0, y = 0, z = 0;
+  double& operator[](int i) { return i == 0 ? x : i == 1 ? y : z; }
+  double operator[](int i) const { return i == 0 ? x : i == 1 ? y : z; }
+};
+inline Point operator+(Point a, Point b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Point operator*(Point a, double s) { return {a.x * s, a.y * s, a.z * s}; }
+inline double dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+inline Point cross(Point a, Point b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+inline double length(Point a) { return std::sqrt(dot(a, a)); }
+
+using Polygon = std::vector<Point>;  // convex, counter-clockwise seen from the front
+struct Segment {
+  Point a, b;
+};
+
+Point vectorArea(const Polygon& polygon);  // along the normal, as long as the area
+Point middle(const Polygon& polygon);      // of the corners: a point inside
+
+// Cuts a polygon by a plane that corners are `distance` from. Those within eps belong to both parts. crossing(lo, hi): where the
+// side from below to above meets the plane; in this order always, so that two triangles cut their common side at the same point.
+template <class Distance, class Crossing>
+void split(const Polygon& polygon, Distance distance, Crossing crossing, double eps, Polygon& below, Polygon& above) {
+  below.clear();
+  above.clear();
+  for (size_t i = 0; i < polygon.size(); ++i) {
+    const Point& p = polygon[i];
+    const Point& q = polygon[(i + 1) % polygon.size()];
+    const double dp = distance(p), dq = distance(q);
+    if (dp <= eps) below.push_back(p);
+    if (dp >= -eps) above.push_back(p);
+    if ((dp < -eps && dq > eps) || (dp > eps && dq < -eps)) {
+      const Point c = dp < dq ? crossing(p, q) : crossing(q, p);
+      below.push_back(c);
+      above.push_back(c);
+    }
+  }
+}
+
+// Shortens a segment in the plane of the polygon, whose unit normal is given, to what lies at least `margin` inside of the border;
+// false where nothing does.
+bool clipInside(const Polygon& polygon, Point normal, double margin, Segment& segment);
+
+double distance(Point p, const Segment& s);
+double distance(const Segment& s, const Segment& t);  // of segments in one plane: 0 where they cross
+
+// Where a side of one polygon and a side of another lie within `tolerance` of each other, over more than `tolerance` or half the
+// shorter one.
+struct SharedBorder {
+  size_t side_p, side_q;  // from corner side_p to the next one
+  Segment line;
+};
+std::vector<SharedBorder> sharedBorders(const Polygon& p, const Polygon& q, double tolerance);
+
+// Whether a point less than `tolerance` off the plane of a polygon lies in it.
+bool contains(const Polygon& polygon, Point point, double tolerance);
+
+// Whether a corner of one lies on the border of the other.
+bool touches(const Polygon& p, const Polygon& q, double tolerance);
+
+}  // namespace ff::bake
