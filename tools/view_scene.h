@@ -29,8 +29,8 @@ struct VertexPatches {
 };
 
 // The corners of the triangles, welded: one vertex for all corners at one place whose faces point within 60 degrees of
-// each other. Light is interpolated between such vertices; it never crosses from one surface to another that does not
-// touch it, so it cannot leak through a thin wall.
+// each other, and that no wall between them parts (view_walls.h). Light is interpolated between such vertices; it never crosses
+// from one surface to another that does not touch it, so it cannot leak through a thin wall or under one.
 struct Weld {
   std::vector<uint32_t> corner_vertex;    // per corner
   std::vector<Vec3> position;             // per vertex; one place has one position, so that there are no cracks

@@ -3,6 +3,7 @@
 #include <unordered_map>
 
 #include "tools/view_scene.h"
+#include "tools/view_walls.h"
 
 namespace ff::view {
 namespace {
@@ -10,23 +11,15 @@ namespace {
 constexpr float kSameWay = 0.5f;    // cosine: within 60 degrees
 constexpr float kTentCells = 1.5f;
 
-struct CellHash {
-  size_t operator()(const std::array<int32_t, 3>& c) const {
-    return static_cast<size_t>(static_cast<uint32_t>(c[0])) * 73856093u ^
-           static_cast<size_t>(static_cast<uint32_t>(c[1])) * 19349663u ^
-           static_cast<size_t>(static_cast<uint32_t>(c[2])) * 83492791u;
-  }
-};
-
 // Numbers places so that corners closer than `tolerance` to a place's first corner share it. Stored positions are
 // quantised per tile, so one point of the world may be read with slightly different coordinates from two tiles.
 std::vector<uint32_t> weldPlaces(const std::vector<Vec3>& corners, float tolerance, std::vector<Vec3>* places) {
-  std::unordered_map<std::array<int32_t, 3>, std::vector<uint32_t>, CellHash> grid;
+  std::unordered_map<GridCell, std::vector<uint32_t>, GridCellHash> grid;
   const float cell = 4 * tolerance;
   std::vector<uint32_t> place_of(corners.size());
   for (size_t i = 0; i < corners.size(); ++i) {
     const Vec3 p = corners[i];
-    std::array<int32_t, 3> lo{}, hi{}, own{};
+    GridCell lo{}, hi{}, own{};
     for (int a = 0; a < 3; ++a) {
       const auto at = static_cast<size_t>(a);
       lo[at] = static_cast<int32_t>(std::floor((p[a] - tolerance) / cell));
@@ -117,29 +110,41 @@ Weld weldScene(const ViewScene& scene) {
   std::vector<Vec3> places;
   const std::vector<uint32_t> place_of = weldPlaces(scene.corners, tolerance, &places);
 
-  // Split each place into classes of faces that point the same way; the first face of a class stands for it.
+  std::vector<Vec3> corners(scene.corners.size());  // welded: two of a triangle may have become one
+  std::vector<Vec3> doubled(scene.triangles());     // normals, as long as twice the area
+  for (size_t c = 0; c < corners.size(); ++c) corners[c] = places[place_of[c]];
+  for (size_t t = 0; t < doubled.size(); ++t) doubled[t] = cross(corners[3 * t + 1] - corners[3 * t], corners[3 * t + 2] - corners[3 * t]);
+  const auto facing = [&](size_t t) {
+    const Vec3 n = normalized(doubled[t]);
+    return n == Vec3{} ? scene.patches[scene.triangle_patch[t]].normal : n;
+  };
+
+  // Split each place into classes of faces that point the same way; the first face of a class stands for it. Then split the
+  // classes into those that see each other past what stands on them.
+  std::vector<std::pair<uint32_t, uint32_t>> corners_at;
+  corners_at.reserve(corners.size());
+  for (uint32_t c = 0; c < corners.size(); ++c) corners_at.emplace_back(place_of[c], c);
+  const Lists at = makeLists(std::move(corners_at), places.size());
+  const Walls walls(corners, scene.triangle_patch, scene.cell_m, tolerance);
   Weld weld;
-  weld.corner_vertex.resize(scene.corners.size());
-  std::vector<std::vector<uint32_t>> vertices_at(places.size());
+  weld.corner_vertex.resize(corners.size());
   std::vector<Vec3> class_normal, area_normal;
-  for (size_t t = 0; t < scene.triangles(); ++t) {
-    const Vec3 doubled =  // of the welded corners: two corners may have become one
-        cross(places[place_of[3 * t + 1]] - places[place_of[3 * t]], places[place_of[3 * t + 2]] - places[place_of[3 * t]]);
-    Vec3 n = normalized(doubled);
-    if (n == Vec3{}) n = scene.patches[scene.triangle_patch[t]].normal;
-    for (size_t c = 3 * t; c < 3 * t + 3; ++c) {
-      auto& here = vertices_at[place_of[c]];
-      auto it = std::find_if(here.begin(), here.end(), [&](uint32_t v) { return dot(class_normal[v], n) > kSameWay; });
-      if (it == here.end()) {
-        here.push_back(static_cast<uint32_t>(weld.position.size()));
-        it = here.end() - 1;
-        weld.position.push_back(places[place_of[c]]);
-        class_normal.push_back(n);
-        area_normal.push_back({});
-      }
-      weld.corner_vertex[c] = *it;
-      area_normal[*it] += doubled;
+  std::vector<std::vector<uint32_t>> classes;  // corners
+  for (uint32_t place = 0; place < places.size(); ++place) {
+    classes.clear();
+    for (const uint32_t c : at.of(place)) {
+      auto it = std::find_if(classes.begin(), classes.end(), [&](const auto& k) { return dot(facing(k[0] / 3), facing(c / 3)) > kSameWay; });
+      if (it == classes.end()) it = classes.insert(it, {{}});
+      it->push_back(c);
     }
+    for (const auto& alike : classes)
+      for (const auto& together : walls.split(alike)) {
+        for (const uint32_t c : together) weld.corner_vertex[c] = static_cast<uint32_t>(weld.position.size());
+        weld.position.push_back(places[place]);
+        class_normal.push_back(facing(together[0] / 3));
+        area_normal.push_back({});
+        for (const uint32_t c : together) area_normal.back() += doubled[c / 3];
+      }
   }
   const size_t vertices = weld.position.size();
   weld.normal.resize(vertices);

@@ -70,6 +70,29 @@ TEST(Weld, NeverTakesLightFromTheOtherSideOfAThinWall) {
     for (const uint32_t lighter : lightersOf(scene, weld, p)) EXPECT_EQ(lighter / 12, p / 12) << "patch " << p;
 }
 
+// A floor of 4 x 4 patches with a sheet on its middle line, from one border to the other or only half way.
+TEST(Weld, NeverTakesLightFromTheOtherSideOfAWallThatStandsOnTheFloor) {
+  for (const bool whole : {true, false})
+    for (const bool shifted : {false, true}) {  // the wall's corners are between the floor's
+      ViewScene scene;
+      addSheet(scene, {0, 0, 0}, {0, 0, 4}, {4, 0, 0}, 4, 4);
+      const float from = shifted ? -0.5f : 0, to = whole ? 4.5f : 2.75f;
+      addSheet(scene, {2, 0, from}, {0, 2, 0}, {0, 0, to - from}, 2, 4);
+      const Weld weld = weldScene(scene);
+      const auto row = [](uint32_t patch) { return patch % 4; };  // along the wall
+      for (uint32_t p = 0; p < 16; ++p)
+        for (const uint32_t lighter : lightersOf(scene, weld, p)) {
+          if (lighter >= 16) continue;
+          if (whole || (row(p) < 1 && row(lighter) < 1)) {
+            EXPECT_EQ(lighter / 8, p / 8) << "patch " << p;
+          }
+        }
+      bool across = false;  // behind the wall's end
+      for (const uint32_t lighter : lightersOf(scene, weld, 7)) across |= lighter / 8 == 1 && lighter < 16;
+      EXPECT_EQ(across, !whole);
+    }
+}
+
 TEST(Weld, DoesNotReachFurtherThanATentOfOneAndAHalfCells) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 9}, {9, 0, 0}, 9, 9);
