@@ -10,7 +10,6 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -103,19 +102,14 @@ struct Sampling {
 };
 
 // Appends what a row gets of each lamp group, relative to the group's emission.
-void addLamps(const ExchangeRow& row, float area_m2, std::span<const NodeValues> values,
-              std::span<const formats::LampGroup> groups, uint8_t number, std::vector<formats::LampLight>& lamps) {
-  std::map<uint16_t, std::array<double, 3>> light;  // W
-  for (size_t k = 0; k < row.column.size(); ++k) {
-    const formats::Node& lamp = values[row.column[k]].node;
-    if (lamp.lamp_group == formats::kNoLampGroup) continue;
-    for (int c = 0; c < 3; ++c) light[lamp.lamp_group][static_cast<size_t>(c)] += row.area_m2[k] * static_cast<double>(lamp.emission[c]);
-  }
-  for (const auto& [group, power] : light) {
-    formats::LampLight& lamp = lamps.emplace_back(formats::LampLight{number, group, {}});
+void appendLamps(const ExchangeRow& row, float area_m2, std::span<const formats::LampGroup> groups, uint8_t number,
+                 std::vector<formats::LampLight>& lamps) {
+  for (const LampIrradiance& light : row.lamps) {
+    formats::LampLight lamp{number, light.group, {}};
     for (int c = 0; c < 3; ++c)
-      if (const float whole = groups[group].emission[c] * area_m2; whole > 0)
-        lamp.weight[c] = std::min(1.0f, static_cast<float>(power[static_cast<size_t>(c)] / static_cast<double>(whole)));
+      if (const float whole = groups[light.group].emission[c] * area_m2; whole > 0)
+        lamp.weight[c] = std::min(1.0f, static_cast<float>(light.rgb[static_cast<size_t>(c)] / static_cast<double>(whole)));
+    if (!(lamp.weight == Vec3{})) lamps.push_back(lamp);
   }
 }
 
@@ -163,7 +157,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     node.sky_fraction = std::min(1.0f, static_cast<float>(row.sky_m2) / exchange.area(n));
     node.sky_direction = row.sky_means.direction;
     node.sky_quadratic = row.sky_means.quadratic;
-    addLamps(row, exchange.area(n), values, lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
+    appendLamps(row, exchange.area(n), lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
     const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
     const float most = seen > 0 ? kMostReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
@@ -253,8 +247,8 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   for (size_t i = 0; i < n; ++i) {
     stats.rays += hits.rays[i];
     const double rays = hits.rays[i], a = static_cast<double>(set->patches[i].area_m2);
-    sky[i] = static_cast<float>(hits.sky[i] / rays) / exposedFraction(hits, i);
-    stats.sky_fraction += a * hits.sky[i] / rays;
+    sky[i] = hits.sky_fraction[i] / exposedFraction(hits, i);
+    stats.sky_fraction += a * static_cast<double>(hits.sky_fraction[i]);
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
     stats.buried_fraction += a * hits.buried[i] / rays;
     whole_area[i] = set->patches[i].area_m2;

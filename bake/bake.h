@@ -21,7 +21,7 @@ inline constexpr double kClusterQuanta = 0.5;
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
-  uint32_t rays = 4096;           // per patch, 1..65535; lamps cast more: kMostLampRays
+  uint32_t rays = 4096;           // per patch, 1..65535; more go towards lamps and where little sky is seen
   uint32_t quanta = 512;          // Q of a patch's row, 1..65535; clusters have kClusterQuanta of it
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.

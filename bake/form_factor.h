@@ -14,8 +14,10 @@
 #include <span>
 #include <vector>
 
+#include "bake/lamp_light.h"
 #include "bake/patches.h"
 #include "bake/ray_caster.h"
+#include "bake/sky_light.h"
 #include "bake/sobol.h"
 
 namespace ff::bake {
@@ -25,43 +27,6 @@ namespace ff::bake {
 inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
 inline constexpr double kMostRays = 0.6;
 
-// Lamps are few and light much: they cast up to this many times the rays of a patch, as long as all together cast no more
-// than a quarter of the patches' rays. What a patch gets of a lamp is then known from the lamp's end.
-inline constexpr uint32_t kMostLampRays = 8;
-
-// What a patch sees of the sky, on average: formats::Node says what for.
-struct SkyMeans {
-  Vec3 direction;
-  std::array<float, 5> quadratic{};
-};
-
-// Sums of weighted directions; means() divides by the sum of the weights.
-class SkySums {
- public:
-  void add(Vec3 direction, double weight) {
-    const auto x = static_cast<double>(direction.x), y = static_cast<double>(direction.y), z = static_cast<double>(direction.z);
-    const double terms[8] = {x, y, z, 2 * x * y, 2 * y * z, 2 * z * x, (3 * y * y - 1) / 2, x * x - z * z};
-    weight_ += weight;
-    for (size_t k = 0; k < 8; ++k) sums_[k] += weight * terms[k];
-  }
-  void add(const SkyMeans& means, double weight) {
-    weight_ += weight;
-    for (size_t k = 0; k < 3; ++k) sums_[k] += weight * static_cast<double>(means.direction[static_cast<int>(k)]);
-    for (size_t k = 0; k < 5; ++k) sums_[3 + k] += weight * static_cast<double>(means.quadratic[k]);
-  }
-  double weight() const { return weight_; }
-  SkyMeans means() const {
-    SkyMeans m;
-    if (!(weight_ > 0)) return m;
-    for (size_t k = 0; k < 3; ++k) m.direction[static_cast<int>(k)] = static_cast<float>(sums_[k] / weight_);
-    for (size_t k = 0; k < 5; ++k) m.quadratic[k] = static_cast<float>(sums_[3 + k] / weight_);
-    return m;
-  }
-
- private:
-  double weight_ = 0, sums_[8] = {};
-};
-
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
 struct HitRows {
   std::vector<uint32_t> rays;      // per patch
@@ -69,16 +34,18 @@ struct HitRows {
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
-  std::vector<SkyMeans> sky_means;       // per patch, over its sky rays
+  std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
+  std::vector<SkyMeans> sky_means;       // per patch
+  std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
   std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to; left behind by renumber()
 };
 
-// Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere. normals: of the surface
-// at each origin, or empty.
+// Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere: those of castRows().
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-               const RayCaster& caster, std::span<Ray> rays, std::span<Vec3> normals = {});
+               const RayCaster& caster, std::span<Ray> rays);
 
-// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535: of a patch that is no lamp.
+// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535; rays towards lamps and, where
+// it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
                  std::atomic<uint64_t>& done);
 

@@ -39,7 +39,11 @@ void PooledPatches::row(uint32_t i, ExchangeRow& out) const {
     out.column.push_back(j);
     out.area_m2.push_back(hits / (own + density(j)));
   }
-  out.sky_m2 = rows_.sky[i] / own;
+  const auto whole = static_cast<double>(areas_[i]);
+  out.sky_m2 = static_cast<double>(rows_.sky_fraction[i]) * whole;
+  out.lamps = rows_.lamps[i];
+  for (LampIrradiance& lamp : out.lamps)
+    for (double& power : lamp.rgb) power *= whole;
   out.absorbed_m2 = rows_.absorbed[i] / own;
   out.sky_means = rows_.sky_means[i];
 }

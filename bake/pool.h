@@ -1,6 +1,6 @@
 // Reciprocity pooling: A_i F_ij = A_j F_ji, so rays from both ends estimate one exchange area
 //   X_ij = (h_ij + h_ji) / (rays_i/A_i + rays_j/A_j),
-// all hits over the pooled density of rays. Sky and absorption are seen from one end only. A_i is the whole area that rays
+// all hits over the pooled density of rays. Sky, absorption and lamps' light are known from one end only. A_i is the whole area that rays
 // start from; area() of the level is the exposed part.
 #pragma once
 #include <cstdint>
@@ -16,6 +16,7 @@ struct ExchangeRow {
   std::vector<uint32_t> column;
   std::vector<double> area_m2;
   double sky_m2 = 0, absorbed_m2 = 0;
+  std::vector<LampIrradiance> lamps;  // times the area, W; as baked
   SkyMeans sky_means;
 };
 

@@ -148,8 +148,20 @@ std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, cons
   return values;
 }
 
+namespace {
+
+void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradiance>& sum) {
+  for (const LampIrradiance& lamp : more) {
+    auto at = std::lower_bound(sum.begin(), sum.end(), lamp.group, [](const LampIrradiance& l, uint16_t group) { return l.group < group; });
+    if (at == sum.end() || at->group != lamp.group) at = sum.insert(at, {lamp.group, {}});
+    for (size_t c = 0; c < 3; ++c) at->rgb[c] += lamp.rgb[c];
+  }
+}
+
+}  // namespace
+
 ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes)
-    : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes) {
+    : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes), lamps_(nodes) {
   std::vector<uint32_t> first(nodes + 1, static_cast<uint32_t>(parents.size()));  // first child
   for (size_t i = parents.size(); i-- > 0;) first[parents[i]] = static_cast<uint32_t>(i);
   struct Scratch {
@@ -180,6 +192,7 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
         area += static_cast<double>(below.area(i));
         sky.add(s.row.sky_means, s.row.sky_m2);
         absorbed += s.row.absorbed_m2;
+        addLamps(s.row.lamps, lamps_[n]);
       }
       std::sort(s.touched.begin(), s.touched.end());
       for (uint32_t j : s.touched) {
@@ -214,6 +227,7 @@ void ClusterExchange::row(uint32_t node, ExchangeRow& out) const {
   out.sky_m2 = sky_m2_[node];
   out.absorbed_m2 = absorbed_m2_[node];
   out.sky_means = sky_means_[node];
+  out.lamps = lamps_[node];
 }
 
 }  // namespace ff::bake

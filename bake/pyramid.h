@@ -61,6 +61,7 @@ class ClusterExchange final : public ExchangeLevel {
   std::vector<float> exchange_m2_;
   std::vector<double> sky_m2_, absorbed_m2_;
   std::vector<SkyMeans> sky_means_;
+  std::vector<std::vector<LampIrradiance>> lamps_;
 };
 
 }  // namespace ff::bake

@@ -18,6 +18,9 @@ inline uint64_t mix64(uint64_t h) {
   return h;
 }
 
+// A number in [0, 1) of an integer.
+inline double unitOf(uint64_t h) { return static_cast<double>(mix64(h) >> 11) * 0x1p-53; }
+
 class SobolTable {
  public:
   using Point = std::array<uint32_t, 4>;  // bit-reversed, ready for scrambling

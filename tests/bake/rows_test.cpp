@@ -211,45 +211,6 @@ TEST(FormFactor, WhatOfASheetIsInAClosedBoxTakesNoPart) {
   }
 }
 
-TEST(FormFactor, LampsCastMoreRaysAndAreKnownFromTheirOwnEnd) {
-  // A small lamp over a floor: what the floor gets of it, by pooled rows, against 64 times the rays.
-  Scene s;
-  const uint32_t floor = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {.5f, .5f, .5f}, {10, 10, 10});
-  addQuad(s, {0, 0, 0}, {0, 0, 16}, {16, 0, 16}, {16, 0, 0}, floor);
-  addQuad(s, {8, 2.5f, 8}, {8.5f, 2.5f, 8}, {8.5f, 2.5f, 8.5f}, {8, 2.5f, 8.5f}, lamp);
-  const auto fromLamp = [&](const CastScene& c) {
-    const PooledPatches pooled(c.rows, areasOf(c));
-    std::vector<double> f;
-    ExchangeRow row;
-    for (uint32_t i = 0; i < c.set.patches.size(); ++i) {
-      pooled.row(i, row);
-      double x = 0;
-      for (size_t k = 0; k < row.column.size(); ++k)
-        if (c.set.patches[row.column[k]].emits()) x += row.area_m2[k];
-      f.push_back(x / static_cast<double>(c.set.patches[i].area_m2));
-    }
-    return f;
-  };
-  const auto error = [&](const std::vector<double>& f, const std::vector<double>& truth) {
-    double e = 0, t = 0;
-    for (size_t i = 0; i < f.size(); ++i) e += (f[i] - truth[i]) * (f[i] - truth[i]), t += truth[i] * truth[i];
-    return std::sqrt(e / t);
-  };
-  const CastScene fine = cast(s, 1, 32768, 9), c = cast(s, 1, 512);
-  for (uint32_t i = 0; i < c.set.patches.size(); ++i) EXPECT_EQ(c.rows.rays[i], c.set.patches[i].emits() ? 4096u : 512u);
-  CastScene plain = c;  // as if the lamp had cast no more than the others: the first 512 of its rays are as good as any
-  for (uint32_t i = 0; i < c.set.patches.size(); ++i)
-    if (c.set.patches[i].emits()) {
-      plain.rows.rays[i] = 512;
-      for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) plain.rows.count[k] = 0;
-      for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k)
-        plain.rows.count[k] = static_cast<uint16_t>(c.rows.count[k] / 8 + (mix64(k) % 8 < c.rows.count[k] % 8u));
-    }
-  const auto truth = fromLamp(fine);
-  const double with = error(fromLamp(c), truth), without = error(fromLamp(plain), truth);
-  EXPECT_LT(with, 0.6 * without) << with << " " << without;
-}
-
 TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
   const CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.05f, 64);
   const std::vector<float> sky(c.set.patches.size(), 0);

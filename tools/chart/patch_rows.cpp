@@ -30,14 +30,13 @@ PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
         rows.column.push_back(sampled.column[k]);
         rows.f.push_back(static_cast<float>(sampled.count[k]) / static_cast<float>(quanta));
       }
-      rows.sky.push_back(static_cast<float>(sampled.sky) / static_cast<float>(quanta));
     } else {
       for (size_t k = 0; k < row.column.size(); ++k) {
         rows.column.push_back(row.column[k]);
         rows.f.push_back(static_cast<float>(row.area_m2[k] / sum));
       }
-      rows.sky.push_back(static_cast<float>(row.sky_m2 / sum));
     }
+    rows.sky.push_back(static_cast<float>(row.sky_m2) / pooled.area(i));  // as a world holds it: not sampled
     rows.start.push_back(rows.column.size());
   }
   return rows;
