@@ -127,6 +127,7 @@ struct SeenScore {
   double tracer_noise = kNotMeasured;  // relative L2, taken off; in the medians it is not
   double not_drawn = 0;                // share of the pixels whose surface has no patch, taken as unlit
   size_t eyes = 0, pixels = 0, patches = 0;
+  std::string note{};                  // why there are no figures
 };
 
 // One page.

@@ -88,7 +88,7 @@ Json jsonOf(const ErrorSources& split) {
 
 // energy of both is the bias.
 Json jsonOf(const SeenScore& s) {
-  Json json = {{"light", s.light}, {"eyes", s.eyes}, {"pixels", s.pixels}, {"patches", s.patches}};
+  Json json = {{"light", s.light}, {"eyes", s.eyes}, {"pixels", s.pixels}, {"patches", s.patches}, {"note", s.note}};
   json["not_drawn"] = numberOrNull(s.not_drawn);
   json["own_median"] = numberOrNull(s.own_median);
   json["tracer_noise"] = numberOrNull(s.tracer_noise);

@@ -160,6 +160,8 @@ Result<SeenScore> scoreSeen(MeasuredWorld& world, const SeenPixels& seen, const 
   score.eyes = seen.eyes.size();
   score.pixels = seen.count();
   score.patches = seen.surfaces.size();
+  if (std::none_of(truth.begin(), truth.end(), [](const PatchTruth& t) { return lengthOf(t.irradiance) > 0; }))
+    score.note = "nothing of this light reaches what the eyes see";
   return score;
 }
 
@@ -176,7 +178,8 @@ Table tableOf(std::span<const SeenScore> scores) {
     return fmt::format(fmt::runtime(fmt::format("{{:{}.2f}} % ({{:{}.2f}})", sign, sign)), 100 * streamed.value, 100 * full.value);
   };
   for (const SeenScore& s : scores)
-    t.rows.push_back({s.light, percent(s.streamed.median, s.full_solve.median, ""), fmt::format("{:.2f} %", 100 * s.own_median), percent(s.streamed.energy, s.full_solve.energy, "+"),
+    if (!s.note.empty()) t.rows.push_back({s.light, s.note, "", "", "", ""});
+    else t.rows.push_back({s.light, percent(s.streamed.median, s.full_solve.median, ""), fmt::format("{:.2f} %", 100 * s.own_median), percent(s.streamed.energy, s.full_solve.energy, "+"),
                       percent(s.streamed.rel_l2, s.full_solve.rel_l2, ""), fmt::format("{:.2f} %", 100 * s.tracer_noise)});
   return t;
 }
