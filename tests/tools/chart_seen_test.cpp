@@ -151,6 +151,15 @@ TEST_F(SeenScene, SurfaceWithoutAPatchCountsAsUnlit) {
   EXPECT_NEAR(score->full_solve.energy.value, -seen.not_drawn, 1.0 / 64);
 }
 
+TEST_F(SeenScene, ALightThatNothingIsSeenOfHasNoFiguresAndAReason) {
+  ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.5f, 64));
+  const std::vector<Vec3> eyes{{0.5f, 0.5f, 0.5f}};
+  const auto score = scoreSeen(*world_, lookAround(world_->tracer(), eyes, kFew), kNoon, standard(), kFew);
+  ASSERT_TRUE(score) << score.error().line();
+  EXPECT_FALSE(score->note.empty()) << "the sun does not get into a closed room";
+  EXPECT_TRUE(std::isnan(score->streamed.rel_l2.value));
+}
+
 TEST_F(SeenScene, TheSameNumbersWhateverTheThreads) {
   ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.5f, 64));
   const std::vector<Vec3> eyes{{0.3f, 0.5f, 0.4f}};

@@ -244,6 +244,29 @@ TEST(PathTracer, AnOccluderShadesWhatLiesUnderIt) {
   EXPECT_NEAR(summed_sun, 10 * 0.63, 10 * 0.004);
 }
 
+// A scrap 100 km away: were rays lifted by the scene's largest coordinate, 40 cm, they would start above the sheet.
+TEST(PathTracer, WhatLiesFarAwayDoesNotLiftRaysOffWhatIsNear) {
+  bake::Scene scene;
+  const uint32_t grey = addMaterial(scene, kGrey);
+  level(scene, 0, 0, true, grey);
+  addQuad(scene, {-1, 0.1f, -1}, {-1, 0.1f, 2}, {2, 0.1f, 2}, {2, 0.1f, -1}, addMaterial(scene, kGrey));
+  scene.materials.back().double_sided = true;
+  bake::Scene far = scene;
+  level(far, 1e5f, 0, true, grey);
+  const Traced near_alone(std::move(scene), 0.5f);
+  const auto created = PathTracer::create(far, *near_alone.world);
+  ASSERT_TRUE(created) << created.error().line();
+  const Lighting light{.name = "sun", .sky = {{1, 1, 1}, {}}, .to_sun = {0, 1, 0}, .sun = {10, 10, 10}};
+  const auto floor = near_alone.facing({0, 1, 0}, 0);
+  ASSERT_FALSE(floor.empty());
+  const TraceSettings settings{.paths = 256, .threads = 1};
+  const auto with = created->trace(floor, light, settings), without = near_alone.tracer->trace(floor, light, settings);
+  for (size_t k = 0; k < floor.size(); ++k) {
+    EXPECT_EQ(with[k].sun.y, 0) << "the sheet hides the sun";
+    EXPECT_NEAR(with[k].reflected.y, without[k].reflected.y, 1e-4f);
+  }
+}
+
 // All but 3 % of the floor lies under a solid, where no path counts: 40 % of the groups of 16 paths have none that does.
 TEST(PathTracer, APatchMostlyBuriedIsWorthWhatIsSeenOfIt) {
   bake::Scene scene;

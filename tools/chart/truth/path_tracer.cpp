@@ -21,6 +21,10 @@ constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kSureBounces = 3;    // before roulette
 constexpr int kMostBounces = 4096;  // a path in a closed white room ends by roulette long before
 
+constexpr float kLift = 4e-6f;  // of the largest coordinate
+
+float largest(Vec3 p) { return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}); }
+
 struct Facet {  // of the drawing geometry
   Vec3 a, ab, ac, normal;
   float cumulative_area = 0;  // within its patch
@@ -75,7 +79,7 @@ struct PathTracer::State {
   std::vector<Vec3> normals;   // unit, per scene triangle
   std::vector<Facet> facets;   // by patch
   std::vector<uint32_t> facet_start, patch_of;  // per patch, + 1; per primitive of `drawing`
-  float lift = 0;              // off the scene's surface, m
+  std::vector<float> lifts;    // off a scene triangle's surface, m: its own rounding, whatever else lies far away
   float quantum = 0;           // how far drawing geometry may lie off the scene's, m
   mutable std::atomic<uint64_t> rays{0};
   std::string fault;
@@ -166,7 +170,7 @@ struct PathTracer::State {
     const float before = at ? own[at - 1].cumulative_area : 0.0f, share = f.cumulative_area - before;
     const float root = std::sqrt(std::clamp((area - before) / share, 0.0f, 1.0f));
     const Vec3 p = f.a + f.ab * (root * (1 - along)) + f.ac * (root * along);
-    const float reach = 2 * quantum + lift;
+    const float reach = 2 * quantum + kLift * largest(f.a);
     const RTCRayHit hit = cast(solid, p + f.normal * reach, f.normal * -1.0f, 2 * reach);
     if (hit.hit.geomID == RTC_INVALID_GEOMETRY_ID) return {};
     const uint32_t t = hit.hit.primID;
@@ -174,7 +178,7 @@ struct PathTracer::State {
     // The other side of a double-sided surface is a patch of its own; a surface at an angle belongs to another one.
     if (std::abs(facing) < 0.9f || (facing < 0 && !isDoubleSided(t))) return {};
     const Vec3 normal = facing > 0 ? normals[t] : normals[t] * -1.0f;
-    return {p + f.normal * (reach - hit.ray.tfar) + normal * lift, normal, surfaceAt(*scene, t, hit.hit.u, hit.hit.v).albedo,
+    return {p + f.normal * (reach - hit.ray.tfar) + normal * lifts[t], normal, surfaceAt(*scene, t, hit.hit.u, hit.hit.v).albedo,
             true};
   }
   // No point that start() finds on the patch faces `direction`: normals there differ from the facets' by less than 26 degrees.
@@ -183,6 +187,12 @@ struct PathTracer::State {
     for (uint32_t f = facet_start[patch]; f < facet_start[patch + 1]; ++f)
       if (dot(facets[f].normal, direction) > -kSine) return false;
     return true;
+  }
+  // Of a ray of `solid`, by the triangle's corners: however long the ray, it is off by their rounding alone.
+  Vec3 pointOf(const RTCRayHit& hit) const {
+    const auto& v = scene->triangles[hit.hit.primID].v;
+    const Vec3 a = scene->positions[v[0]];
+    return a + (scene->positions[v[1]] - a) * hit.hit.u + (scene->positions[v[2]] - a) * hit.hit.v;
   }
   bool isDoubleSided(uint32_t t) const { return scene->materials[scene->triangles[t].material].double_sided; }
 
@@ -291,7 +301,7 @@ struct PathTracer::State {
       }
       const SurfacePoint surface = surfaceAt(*scene, t, hit.hit.u, hit.hit.v);
       const Vec3 normal = front ? normals[t] : normals[t] * -1.0f;
-      const Vec3 at = point + direction * hit.ray.tfar;
+      const Vec3 at = pointOf(hit);
       const float asked = lampDensity(lamps, t, hit.ray.tfar, std::abs(dot(normals[t], direction)));
       const Vec3 e = throughput * surface.radiance * (kPi * light.lampsAt(at) * reflected / (reflected + asked));
       arrived.all += e;
@@ -302,7 +312,7 @@ struct PathTracer::State {
         if (random.unit() >= keep) break;
         throughput = throughput / keep;
       }
-      point = at + normal * lift;
+      point = at + normal * lifts[t];
       arrived.all += throughput * (sunOn(point, normal, light, cast_rays) +
                                    askLamp(point, normal, lamps, light, random, cast_rays));
       const float u = random.unit(), v = random.unit();
@@ -394,7 +404,7 @@ struct PathTracer::State {
 
   // The patch whose drawing geometry lies at a point of the surface and faces as `normal` does.
   uint32_t patchAt(Vec3 point, Vec3 normal) const {
-    const float reach = 2 * quantum + 2 * lift;
+    const float reach = 2 * quantum + 2 * kLift * largest(point);
     const RTCRayHit hit = cast(drawing, point + normal * reach, normal * -1.0f, 2 * reach, 0, true);
     return hit.hit.geomID == RTC_INVALID_GEOMETRY_ID ? kNoPatch : patch_of[hit.hit.primID];
   }
@@ -433,13 +443,12 @@ Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::W
       state->device,
       [](void* user, RTCError, const char* text) { static_cast<State*>(user)->fault = text ? text : "unknown"; },
       state.get());
-  float largest = 0;
-  for (const Vec3& p : scene.positions) largest = std::max({largest, std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-  state->lift = largest * 4e-6f;
   state->normals.reserve(scene.triangles.size());
   for (const bake::Triangle& t : scene.triangles) {
     const Vec3 a = scene.positions[t.v[0]];
-    state->normals.push_back(normalized(cross(scene.positions[t.v[1]] - a, scene.positions[t.v[2]] - a)));
+    const Vec3 b = scene.positions[t.v[1]], c = scene.positions[t.v[2]];
+    state->normals.push_back(normalized(cross(b - a, c - a)));
+    state->lifts.push_back(kLift * std::max({largest(a), largest(b), largest(c)}));
   }
   bool holes = false;
   for (const bake::Material& m : scene.materials) holes |= m.cutout;
@@ -552,8 +561,8 @@ EyeView PathTracer::lookFrom(Vec3 eye, uint32_t rays) const {
       ++view.backs;
       continue;
     }
-    const Vec3 normal = front ? s.normals[t] : s.normals[t] * -1.0f, at = eye + w * hit.ray.tfar;
-    view.points.push_back({at + normal * s.lift, normal, surfaceAt(*s.scene, t, hit.hit.u, hit.hit.v).albedo,
+    const Vec3 normal = front ? s.normals[t] : s.normals[t] * -1.0f, at = s.pointOf(hit);
+    view.points.push_back({at + normal * s.lifts[t], normal, surfaceAt(*s.scene, t, hit.hit.u, hit.hit.v).albedo,
                            s.patchAt(at, normal)});
   }
   return view;
