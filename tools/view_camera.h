@@ -37,8 +37,8 @@ runtime::Sky skyOf(Vec3 l0, Vec3 zenith);
 // Area-weighted mean fraction of sky that patches see, 0..1; patches that look at the backs of others do not count.
 float openness(const ViewScene& scene);
 
-// A path of 6 s. Where little sky is seen: a walk through the free space of a large room, over its floor. Else: an arc over the
-// middle of the world, above what stands there. Deterministic.
+// A path of 6 s: a few steps at eye height (1.6 m, less in models smaller than a room) over a floor large enough to stand on, in
+// the lightest place with the most in view; where nobody can stand, an arc outside. Deterministic.
 CameraPath findPath(const ViewScene& scene);
 
 }  // namespace ff::view

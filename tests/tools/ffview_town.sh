@@ -35,6 +35,23 @@ assert first["patches_compared"] > 20, first
 assert first["reflected_error_inner"] < 0.03, first
 PY
 cp pictures/town_0000_bounce.png vulkan.png
+# Light that has not settled is said, with how much; an error that was not computed has its reason.
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o undone --frames 1 --size 64x48 --settle 2 --no-difference
+grep -q "has not settled in 1 of 1 pictures: .* raise --settle" err.txt || fail "undone light was not said: $(cat err.txt)"
+expect 0 "$ffview" --headless town.ffm -o night --frames 1 --size 64x48 --night
+[ ! -s err.txt ] || fail "settled light was complained of: $(cat err.txt)"
+expect 0 "$ffview" --headless town.ffm --camera camera.json -o near --frames 1 --size 64x48 --radius 0.01
+python3 - <<'PY'
+import json
+frame = lambda name: json.load(open(name + "/figures.json"))["frames"][0]
+undone, night, near = frame("undone"), frame("night"), frame("near")
+assert undone["settled"] is False and 1e-6 < undone["settle_change"] < 1, undone
+assert undone["reflected_error_inner"] is None and "--no-difference" in undone["not_compared_because"], undone
+assert night["settled"] is True and night["settle_change"] <= 1e-6, night
+assert night["reflected_error_inner"] is not None and "not_compared_because" not in night, night
+assert json.load(open("night/figures.json"))["sun"]["irradiance"] == [0, 0, 0]
+assert near["reflected_error_inner"] is None and "raise --radius" in near["not_compared_because"], near
+PY
 expect 0 "$ffview" --headless town.ffm --camera camera.json -o on_cpu --frames 2 --size 160x90 --radius 8 --solve-on-cpu --validate
 expect 0 "$ffview" --headless town.ffm --camera camera.json -o dense --frames 2 --size 160x90 --radius 4 --solver multibounce --solve-on-cpu --validate
 expect 1 "$ffview" --headless town.ffm -o x --solver magic
