@@ -12,9 +12,11 @@
 #include <cstring>
 #include <memory>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <thread>
 
+#include "bake/estimate.h"
 #include "bake/form_factor.h"
 #include "bake/patch_size.h"
 #include "bake/patches.h"
@@ -22,6 +24,7 @@
 #include "bake/pyramid.h"
 #include "bake/ray_caster.h"
 #include "bake/row_sampling.h"
+#include "bake/scene_names.h"
 #include "bake/spatial_index.h"
 #include "bake/surface_sampling.h"
 #include "formats/writer.h"
@@ -82,22 +85,16 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   return {};
 }
 
-// The scene less the triangles of the named materials.
-Result<Scene> without(const Scene& scene, const std::vector<std::string>& names) {
-  Scene rest = scene;
-  for (const std::string& name : names) {
-    const size_t before = rest.triangles.size();
-    std::erase_if(rest.triangles, [&](const Triangle& t) { return rest.materials[t.material].name == name; });
-    if (rest.triangles.size() == before)
-      return Error{ErrorCode::kUsage, scene.name, "", "no triangle has a material named \"" + name + "\"",
-                   "see the file's materials"};
-  }
-  return rest;
-}
+// Where surfaces overlap, rays from one end of a pair meet what those from the other do not, and the pooled row does not add up: a
+// free detector. Off by more than a fifth, or four times the noise of few rays, on so much of the surface, it is worth a line.
+constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
+// So much of the light that ends on the backs of single-sided surfaces is worth a line.
+constexpr double kBacksShare = 0.01;
 
 // What sampling a tile's rows showed.
 struct Sampling {
   double deviation = 0;  // see WorldInfo::row_total_deviation
+  std::vector<std::pair<uint32_t, float>> off;  // patches whose rows do not add up, and by how much they miss
   uint64_t clamped = 0;
 };
 
@@ -149,6 +146,8 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
+    if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.rays))))
+      sampling.off.emplace_back(n, static_cast<float>(sampled.total - 1));
     formats::Node node = values[n].node;
     node.quanta = quanta;
     node.sky = sampled.sky;
@@ -181,6 +180,57 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   return strip;
 }
 
+void moveToWorld(const std::array<double, 3>& origin, PatchSet& set) {
+  const auto move = [&](Vec3& p) {
+    for (int a = 0; a < 3; ++a) p[a] = static_cast<float>(static_cast<double>(p[a]) + origin[static_cast<size_t>(a)]);
+  };
+  for (PatchTriangle& t : set.triangles)
+    for (Vec3* p : {&t.a, &t.b, &t.c}) move(*p);
+  for (Patch& p : set.patches) {
+    for (int a = 0; a < 3; ++a) {
+      const double cell = (static_cast<double>(p.centroid[a]) + origin[static_cast<size_t>(a)]) / static_cast<double>(set.cell_m);
+      p.cell[static_cast<size_t>(a)] = static_cast<int32_t>(std::floor(std::clamp(cell, -2e9, 2e9)));
+    }
+    for (Vec3* q : {&p.centroid, &p.bounds.lo, &p.bounds.hi}) move(*q);
+  }
+}
+
+std::string percent(double share) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.2g %%", share * 100);
+  return text;
+}
+
+uint32_t triangleOf(const PatchSet& set, uint32_t patch) { return set.triangles[set.patches[patch].first_triangle].source; }
+
+std::string rowsThatAreOff(const Scene& scene, const PatchSet& set, std::span<const std::pair<uint32_t, float>> off,
+                           std::span<const uint32_t> patch_of) {
+  PlaceSums places(scene);
+  double area = 0, all = 0;
+  std::pair<uint32_t, float> worst{};
+  for (const auto& [node, miss] : off) {
+    const auto own = static_cast<double>(set.patches[patch_of[node]].area_m2);
+    area += own;
+    places.add(triangleOf(set, patch_of[node]), own);
+    if (std::abs(miss) > std::abs(worst.second)) worst = {node, miss};
+  }
+  for (const Patch& p : set.patches) all += static_cast<double>(p.area_m2);
+  if (!(area > kRowOffShare * all)) return {};
+  return "the rows of " + std::to_string(off.size()) + " patches (" + percent(area / all) + " of the surface) do not add up, the worst by " +
+         percent(static_cast<double>(worst.second)) + " (" + placeOf(scene, triangleOf(set, patch_of[worst.first])) +
+         "): surfaces overlap there; most of it: " + places.heaviest();
+}
+
+std::string lightOnBacks(const Scene& scene, const PatchSet& set, const HitRows& hits, double share) {
+  const bool other = std::any_of(scene.materials.begin(), scene.materials.end(), [](const Material& m) { return m.occlude_only; });
+  if (other || !(share > kBacksShare)) return {};
+  PlaceSums places(scene);
+  for (uint32_t i = 0; i < set.patches.size(); ++i)
+    if (hits.absorbed[i] > 0) places.add(triangleOf(set, i), static_cast<double>(set.patches[i].area_m2) * hits.absorbed[i] / hits.rays[i]);
+  return percent(share) + " of the light ends on the backs of single-sided surfaces, most of it what leaves " + places.heaviest() +
+         "; --backs reflect or --backs pass treats them otherwise";
+}
+
 }  // namespace
 
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float cell_m) {
@@ -195,7 +245,6 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(&s.quanta, sizeof s.quanta);
   put(&s.seed, sizeof s.seed);
   put(&s.metals, sizeof s.metals);
-  for (const std::string& name : s.leave_out) put(name.c_str(), name.size() + 1);
   put(FF_VERSION, sizeof FF_VERSION);
   put(&kBakeCode, sizeof kBakeCode);
   XXH128_canonical_t digest;
@@ -205,17 +254,17 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   return key;
 }
 
-Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
-                            const Progress& progress) {
+namespace {
+
+Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
   const auto began = Clock::now();
-  std::optional<Scene> part;
-  if (!settings.leave_out.empty()) {
-    auto rest = without(whole, settings.leave_out);
-    if (!rest) return rest.error();
-    part = std::move(*rest);
-  }
-  const Scene& scene = part ? *part : whole;
+  auto clean = cleanUp(whole, settings.cleanup);
+  if (!clean) return clean.error();
+  const Scene& scene = clean->scene ? *clean->scene : whole;
   if (auto ok = checkSettings(scene, settings); !ok) return ok.error();
+  const BakeEstimate estimate = estimateBake(scene, settings);
+  if (settings.announce) settings.announce(estimate);
+  if (auto fits = checkFits(scene, settings, estimate); !fits) return fits.error();
   const int threads = settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency());
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(std::max(1, threads)));
   auto writer = formats::WorldWriter::create(path);
@@ -225,8 +274,8 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   auto caster = RayCaster::create(scene);
   if (!caster) return caster.error();
   auto set = [&] {
-    ProgressReport report(progress, "patches", 1);
-    const PatchSettings cut{.cell_m = settings.cell_m, .metals = settings.metals};
+    ProgressReport report(progress, "patches", scene.triangles.size());
+    const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.done, .metals = settings.metals};
     return settings.cell_m > 0 ? makePatches(scene, cut, &*caster) : patchesWithin(settings.patch_budget, scene, cut, *caster);
   }();
   if (!set) return set.error();
@@ -234,6 +283,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
 
   // Rays.
   BakeStats stats;
+  stats.warnings = std::move(clean->notes);
   stats.cell_m = set->cell_m;
   stats.triangles = scene.triangles.size();
   const auto cast_began = Clock::now();
@@ -258,6 +308,10 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   stats.buried_fraction = (stats.buried_fraction + set->sealed_m2) / (set->area_m2 + set->sealed_m2);
   stats.sky_fraction /= stats.area_m2;
   stats.absorbed_fraction /= stats.area_m2;
+  if (auto line = lightOnBacks(scene, *set, hits, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
+
+  // From here on in the world's coordinates, which files hold.
+  if (scene.origin != std::array<double, 3>{}) moveToWorld(scene.origin, *set);
 
   // Pooling and the pyramid.
   const Hierarchy hierarchy = makeHierarchy(set->patches, sky, hits.narrow);
@@ -283,6 +337,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
 
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
   double deviation = 0;
+  std::vector<std::pair<uint32_t, float>> off;
   stats.levels.resize(hierarchy.levels());
   {
     uint64_t tiles_total = 0;
@@ -308,6 +363,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
           if (!*encoded[k]) return encoded[k]->error();
           deviation = std::max(deviation, sampling[k].deviation);
           stats.clamped_nodes += sampling[k].clamped;
+          off.insert(off.end(), sampling[k].off.begin(), sampling[k].off.end());
           level.entries += (*encoded[k])->info.entries;
           level.stored_bytes += (*encoded[k])->info.stored_bytes;
           if (auto ok = writer->addStrip(std::move(**encoded[k])); !ok) return ok.error();
@@ -321,6 +377,7 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
   // Drawing geometry.
   std::vector<uint32_t> patch_of(n);
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
+  if (auto line = rowsThatAreOff(scene, *set, off, patch_of); !line.empty()) stats.warnings.push_back(std::move(line));
   const auto& tiles = hierarchy.tile_start[0];
   if (settings.geometry) {
     ProgressReport report(progress, "geometry", tiles.size() - 1);
@@ -363,6 +420,17 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
     return ok.error();
   stats.seconds = since(began);
   return stats;
+}
+
+}  // namespace
+
+Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
+                            const Progress& progress) {
+  try {
+    return bake(whole, settings, path, progress);
+  } catch (const std::bad_alloc&) {  // the estimate was too low
+    return Error{ErrorCode::kIo, whole.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
+  }
 }
 
 }  // namespace ff::bake

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "bake/scene.h"
+#include "bake/scene_cleanup.h"
 #include "formats/layout.h"
 
 namespace ff::bake {
@@ -18,6 +19,11 @@ inline constexpr float kMostReflected = 0.999f;
 // A cluster lights as the mean of many receivers, so its row needs fewer samples than a patch's: Q times this (at least 1).
 inline constexpr double kClusterQuanta = 0.5;
 
+// Of a bake before it is begun: within a factor of two or so.
+struct BakeEstimate {
+  double cell_m = 0, pieces = 0, patches = 0, memory_bytes = 0, disk_bytes = 0, seconds = 0;
+};
+
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
@@ -26,7 +32,9 @@ struct BakeSettings {
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals
-  std::vector<std::string> leave_out{};  // materials, by name, whose triangles take no part: toon outlines, helpers
+  CleanupSettings cleanup{};
+  uint64_t memory_bytes = 0;      // a bake that would need more is refused; 0: what the machine has free
+  std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
   bool geometry = true;           // write drawing geometry
 };
 
@@ -42,6 +50,7 @@ struct BakeStats {
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
   double buried_fraction = 0;    // of the whole area; pockets as well
   std::vector<LevelStats> levels;
+  std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
@@ -49,7 +58,7 @@ struct BakeStats {
 // Raised whenever the same scene and settings come to give other bytes.
 inline constexpr uint32_t kBakeCode = 5;
 
-// WorldInfo::bake_key of a bake: scene, settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
+// WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);
 
 // phase: "patches", "rays", "pyramid", "strips", "geometry"; done of total. Called from a thread of the baker's own, at most

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <tuple>
 
+#include "bake/surface_sampling.h"
 #include "bake/union_find.h"
 
 namespace ff::bake {
@@ -163,7 +164,7 @@ Fences::Found Fences::find(const Piece& piece) const {
       hi[a] = std::max(hi[a], p[a]);
     }
   const double radius = length(hi - lo) / 2 + 2 * hair, eps = kHairsOffBorder * hair;
-  const int sides = scene_.materials[scene_.triangles[piece.triangle].material].double_sided ? 2 : 1;
+  const int sides = patchedSides(scene_.materials[scene_.triangles[piece.triangle].material]);
   std::vector<uint32_t> near;
   caster_.near(metres((lo + hi) * 0.5), static_cast<float>(radius * cell_m_), near);
   for (const uint32_t u : near) {
@@ -221,7 +222,7 @@ void Fences::cut(Piece piece, std::vector<Piece>& out) const {
     leaves.push_back(std::move(leaf));
   }
   // Parts that belong together on both sides are one again where they came from one cut.
-  const int sides = scene_.materials[scene_.triangles[piece.triangle].material].double_sided ? 2 : 1;
+  const int sides = patchedSides(scene_.materials[scene_.triangles[piece.triangle].material]);
   std::array<UnionFind, 2> sets{UnionFind(leaves.size()), UnionFind(leaves.size())};
   for (int side = 0; side < sides; ++side) {
     auto& set = sets[static_cast<size_t>(side)];

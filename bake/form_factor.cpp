@@ -87,7 +87,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
           continue;
         }
         if (j == kNone) {
-          ++(isBuried(caster, ray.origin, from.normal) ? rows.buried : rows.absorbed)[i];
+          ++(!hit.front && isBuried(caster, ray.origin, from.normal) ? rows.buried : rows.absorbed)[i];
           continue;
         }
         if (s.count[j]++ == 0) s.touched.push_back(j);

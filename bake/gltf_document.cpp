@@ -203,6 +203,7 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
     reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), budget, warnings);
     reduced["meshes"] = reduceMeshes(file, accessors, reduced["materials"].size(), storage.views.size(), warnings);
     reduced["nodes"] = reduceNodes(file, accessors, reduced["meshes"].size(), out.roots);
+    out.objects = readObjects(file);
     out.buffer_present = storage.present;
     hand(storage, reduced);
     text = reduced.dump(-1, ' ', false, Json::error_handler_t::replace);

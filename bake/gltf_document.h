@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "bake/gltf_container.h"
+#include "bake/gltf_objects.h"
 
 namespace ff::bake::gltf {
 
@@ -27,6 +28,7 @@ struct Document {
   // Draco primitive has no `indices`; its extension holds bufferView, attributes, indexCount and vertexCount.
   tinygltf::Model model;
   std::vector<ImageSource> images;
+  Objects objects;
   std::vector<bool> buffer_present;  // buffers without data may be declared; they must not be read
   std::vector<uint32_t> roots;       // of the scene to load
   std::string folder;

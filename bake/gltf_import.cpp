@@ -3,10 +3,13 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <memory>
 #include <new>
+#include <string_view>
+#include <unordered_set>
 
 #include "bake/gltf_instances.h"
 #include "bake/gltf_materials.h"
@@ -21,13 +24,41 @@ constexpr double kFarthest = 1e9;
 // Thinner triangles than this (height over longest edge) have lost their normal to rounding in float.
 constexpr double kThinnest = 1e-7;
 
-Vec3 toWorld(const Matrix& m, Vec3 p, const std::string& place) {
+// Coordinates of a scene that stands far from the origin of its file lose their last digits in float; so they count from
+// a place near it. The median tells where it is, whatever strays: of a scene within kNearBy times its own size (that of all but the
+// outermost tenths) the origin stays. Whole powers of two not below the size, so that grids and lattices stay where they were.
+constexpr double kNearBy = 16;
+
+std::array<double, 3> originOf(const Scene& scene) {
+  std::array<double, 3> median{}, origin{};
+  double size = 0;
+  std::vector<float> at;
+  for (int a = 0; a < 3; ++a) {
+    at.clear();
+    for (const Triangle& t : scene.triangles) at.push_back(scene.positions[t.v[0]][a]);
+    if (at.empty()) return origin;
+    const auto quantile = [&](size_t tenths) {
+      const auto nth = at.begin() + static_cast<ptrdiff_t>((at.size() - 1) * tenths / 10);
+      std::nth_element(at.begin(), nth, at.end());
+      return static_cast<double>(*nth);
+    };
+    median[static_cast<size_t>(a)] = quantile(5);
+    size = std::max(size, quantile(9) - quantile(1));
+  }
+  if (!(size > 0)) return origin;
+  const double step = std::exp2(std::ceil(std::log2(size)));
+  for (size_t a = 0; a < 3; ++a)
+    if (std::abs(median[a]) > kNearBy * size) origin[a] = step * std::round(median[a] / step);
+  return origin;
+}
+
+Vec3 toWorld(const Matrix& m, Vec3 p, const std::array<double, 3>& origin, const std::string& place) {
   Vec3 out;
   for (int r = 0; r < 3; ++r) {
     const auto row = static_cast<size_t>(r);
     const double v = m[row] * double{p.x} + m[row + 4] * double{p.y} + m[row + 8] * double{p.z} + m[row + 12];
     if (!(std::fabs(v) <= kFarthest)) refuse(place, "a world coordinate is beyond 1e9 m", "scale the scene to metres");
-    out[r] = static_cast<float>(v);
+    out[r] = static_cast<float>(v - origin[row]);
   }
   return out;
 }
@@ -43,6 +74,12 @@ bool isDegenerate(Vec3 a, Vec3 b, Vec3 c) {
   return !(twice_area > kThinnest * longest_squared) || twice_area < double{std::numeric_limits<float>::min()};
 }
 
+Matrix rootOf(const ImportLimits& limits) {
+  const double s = limits.scale;
+  if (limits.z_up) return {s, 0, 0, 0, 0, 0, -s, 0, 0, s, 0, 0, 0, 0, 0, 1};
+  return {s, 0, 0, 0, 0, s, 0, 0, 0, 0, s, 0, 0, 0, 0, 1};
+}
+
 class Builder {
  public:
   Builder(const Document& document, const ImportLimits& limits, Budget& budget, Scene& scene)
@@ -50,19 +87,55 @@ class Builder {
 
   // Mesh by mesh, so that each is decoded once and only one is held.
   void build() {
-    const auto instances = listInstances(document_, budget_);
+    scene_.node_names = document_.objects.node_names;
+    scene_.mesh_names = document_.objects.mesh_names;
+    auto instances = listInstances(document_, rootOf(limits_), budget_);
+    for (size_t m = 0; m < instances.size(); ++m) {
+      keepOnce(static_cast<uint32_t>(m), instances[m]);
+      all_ += instances[m].size() * document_.model.meshes[m].primitives.size();
+    }
     for (size_t m = 0; m < instances.size(); ++m) {
       if (instances[m].empty()) continue;
       const auto& primitives = document_.model.meshes[m].primitives;
       for (size_t p = 0; p < primitives.size(); ++p)
-        addPrimitive(primitives[p], instances[m], "mesh " + std::to_string(m) + " primitive " + std::to_string(p));
+        addPrimitive(primitives[p], static_cast<uint32_t>(m), instances[m], "mesh " + std::to_string(m) + " primitive " + std::to_string(p));
     }
+    if (limits_.progress) limits_.progress(all_, all_);
     if (dropped_) scene_.warnings.push_back(std::to_string(dropped_) + " triangles without area are left out");
     if (scene_.triangles.empty()) scene_.warnings.push_back("the scene holds no triangles");
   }
 
  private:
-  void addPrimitive(const tinygltf::Primitive& primitive, const std::vector<Instance>& instances,
+  // Instances at the very same place count once, before millions of them take memory; bake/coincident.h finds what differs by rounding.
+  void keepOnce(uint32_t mesh, std::vector<Instance>& instances) {
+    std::unordered_set<std::string_view> seen;
+    const size_t before = instances.size();
+    size_t kept = 0;
+    int first = -1;
+    // In place: what is kept moves to the front, where the views of what was seen stay valid.
+    for (size_t i = 0; i < before; ++i) {
+      if (!document_.objects.nodes[static_cast<size_t>(instances[i].node)].include.value_or(true)) continue;
+      const auto bytes = [&](size_t k) {
+        return std::string_view(reinterpret_cast<const char*>(instances[k].to_world.data()), sizeof(Matrix));
+      };
+      if (seen.count(bytes(i))) {
+        if (first < 0) first = instances[i].node;
+        continue;
+      }
+      instances[kept] = instances[i];
+      seen.insert(bytes(kept++));
+    }
+    instances.resize(kept);
+    if (first < 0) return;
+    const auto name = [](const char* kind, const std::vector<std::string>& names, size_t i) {
+      return names[i].empty() ? std::string(kind) + " " + std::to_string(i) : std::string(kind) + " \"" + names[i] + "\"";
+    };
+    scene_.warnings.push_back(std::to_string(before - kept) + (before - kept == 1 ? " instance of " : " instances of ") +
+                              name("mesh", document_.objects.mesh_names, mesh) + " stand where others do and count once (first: " +
+                              name("node", document_.objects.node_names, static_cast<size_t>(first)) + ")");
+  }
+
+  void addPrimitive(const tinygltf::Primitive& primitive, uint32_t mesh, const std::vector<Instance>& instances,
                     const std::string& place) {
     const uint32_t material = materials_.number(primitive.material);
     const Surface surface = readSurface(document_, primitive, materials_.base(material), materials_.emission(material),
@@ -74,17 +147,25 @@ class Builder {
              "split the scene or raise the limit");
     if (vertices > 0xfffffffeu - scene_.positions.size())
       refuse(place, "more than 4294967294 vertices", "split the scene");
-    budget_.take(vertices * sizeof(Vec3) + triangles * sizeof(Triangle), place);
+    budget_.take(vertices * sizeof(Vec3) + triangles * sizeof(Triangle) + instances.size() * sizeof(Object), place);
     std::vector<uint32_t> tints;
     for (const Vec3 color : surface.colors) tints.push_back(materials_.tinted(material, color));
-    for (const Instance& instance : instances) addInstance(surface, instance, material, tints);
+    for (const Instance& instance : instances) {
+      const Objects& objects = document_.objects;
+      Traits traits = merged(objects.nodes[static_cast<size_t>(instance.node)], objects.meshes[mesh]);
+      if (primitive.material >= 0) traits = merged(traits, objects.materials[static_cast<size_t>(primitive.material)]);
+      if (!traits.include.value_or(true)) continue;
+      scene_.objects.push_back({static_cast<uint32_t>(scene_.triangles.size()), static_cast<uint32_t>(instance.node), mesh});
+      addInstance(surface, instance, material, tints, traits);
+      if (limits_.progress && ++added_ % 64 == 0) limits_.progress(std::min(added_, all_), all_);
+    }
   }
 
   void addInstance(const Surface& surface, const Instance& instance, uint32_t material,
-                   const std::vector<uint32_t>& tints) {
+                   const std::vector<uint32_t>& tints, const Traits& traits) {
     const auto first = static_cast<uint32_t>(scene_.positions.size());
     const std::string place = "node " + std::to_string(instance.node);
-    for (const Vec3 p : surface.positions) scene_.positions.push_back(toWorld(instance.to_world, p, place));
+    for (const Vec3 p : surface.positions) scene_.positions.push_back(toWorld(instance.to_world, p, scene_.origin, place));
     addUv(scene_.uv0, surface.uv0, first);
     addUv(scene_.uv1, surface.uv1, first);
     const bool mirrored = isMirror(instance.to_world);
@@ -96,7 +177,7 @@ class Builder {
         ++dropped_;
         continue;
       }
-      scene_.triangles.push_back({v, tints.empty() ? material : tints[t]});
+      scene_.triangles.push_back({v, materials_.with(tints.empty() ? material : tints[t], traits)});
     }
   }
 
@@ -114,7 +195,7 @@ class Builder {
   Budget& budget_;
   Scene& scene_;
   Materials materials_;
-  uint64_t dropped_ = 0;
+  uint64_t dropped_ = 0, added_ = 0, all_ = 0;
 };
 
 class Hasher {
@@ -123,6 +204,7 @@ class Hasher {
   void add(const void* bytes, size_t size) {
     if (size) XXH3_128bits_update(&state_, bytes, size);
   }
+  void add(const std::string& text) { add(text.data(), text.size()); }
   void add(uint64_t n) { add(&n, sizeof n); }
   template <class T>
   void add(const std::vector<T>& v) {
@@ -142,9 +224,10 @@ class Hasher {
   XXH3_state_t state_;
 };
 
-// Names and warnings do not count: they do not change a bake.
+// Warnings and names other than lamp groups' do not count: they do not change a bake.
 std::array<uint8_t, 16> contentHash(const Scene& scene) {
   const auto hasher = std::make_unique<Hasher>();
+  hasher->add(scene.origin.data(), sizeof scene.origin);
   hasher->add(scene.positions);
   hasher->add(scene.triangles);
   hasher->add(scene.uv0);
@@ -153,7 +236,9 @@ std::array<uint8_t, 16> contentHash(const Scene& scene) {
   for (const Material& m : scene.materials) {
     const float numbers[] = {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha,       m.metallic,
                              m.emission.x,   m.emission.y,   m.emission.z,   m.alpha_cutoff};
-    const uint32_t words[] = {m.base_image, m.emission_image, m.repeat, m.double_sided, m.cutout};
+    const uint32_t words[] = {m.base_image, m.emission_image, m.repeat, m.double_sided, m.cutout, m.occlude_only};
+    hasher->add(&m.density, sizeof m.density);
+    if (!(m.emission == Vec3{})) hasher->add((m.lamp_group.empty() ? m.name : m.lamp_group) + '\0');  // worlds list them
     hasher->add(numbers, sizeof numbers);
     hasher->add(words, sizeof words);
   }
@@ -169,14 +254,20 @@ std::array<uint8_t, 16> contentHash(const Scene& scene) {
 
 Result<Scene> importGltf(const std::string& path, const ImportLimits& limits) {
   try {
-    Scene scene;
+    if (!(limits.scale > 0 && limits.scale <= kFarthest))
+      return Error{ErrorCode::kUsage, path, "", "the scale must be positive", "0.01 for a file in centimetres"};
     const size_t slash = path.rfind('/');
-    scene.name = slash == std::string::npos ? path : path.substr(slash + 1);
-    Budget budget(limits.max_memory_bytes);
-    {
+    const auto build = [&](const std::array<double, 3>& origin) {
+      Scene scene;
+      scene.name = slash == std::string::npos ? path : path.substr(slash + 1);
+      scene.origin = origin;
+      Budget budget(limits.max_memory_bytes);
       const Document document = loadDocument(path, budget, scene.warnings);
       Builder(document, limits, budget, scene).build();
-    }
+      return scene;
+    };
+    Scene scene = build({});
+    if (const auto origin = originOf(scene); origin != std::array<double, 3>{}) scene = build(origin);
     scene.content_hash = contentHash(scene);
     return scene;
   } catch (Fault& fault) {

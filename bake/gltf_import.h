@@ -1,6 +1,7 @@
 // glTF 2.0 (.gltf, .glb) to Scene. The only file that sees tinygltf and Draco's decoder.
 #pragma once
 #include <cstdint>
+#include <functional>
 #include <string>
 
 #include "bake/scene.h"
@@ -10,6 +11,9 @@ namespace ff::bake {
 struct ImportLimits {
   uint64_t max_memory_bytes = uint64_t{1536} << 20;  // of decoded buffers, images and triangles together
   uint64_t max_triangles = 200'000'000;
+  double scale = 1;   // of a unit of the file's coordinates, m
+  std::function<void(uint64_t done, uint64_t total)> progress{};  // instances of primitives; may be called often
+  bool z_up = false;  // the file's third axis points up, its second one to the back
 };
 
 // Loads the default scene (scene 0 where none is named; all root nodes where there are no scenes). Things a radiosity

@@ -7,8 +7,6 @@
 namespace ff::bake::gltf {
 namespace {
 
-constexpr Matrix kIdentity = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-
 Matrix multiply(const Matrix& a, const Matrix& b) {
   Matrix out{};
   for (size_t c = 0; c < 4; ++c)
@@ -86,10 +84,10 @@ bool isMirror(const Matrix& m) {
          0;
 }
 
-std::vector<std::vector<Instance>> listInstances(const Document& document, Budget& budget) {
+std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget) {
   std::vector<std::vector<Instance>> out(document.model.meshes.size());
   std::vector<Instance> stack;
-  for (size_t i = document.roots.size(); i-- > 0;) stack.push_back({kIdentity, static_cast<int>(document.roots[i])});
+  for (size_t i = document.roots.size(); i-- > 0;) stack.push_back({root, static_cast<int>(document.roots[i])});
   while (!stack.empty()) {
     const Instance parent = stack.back();
     stack.pop_back();

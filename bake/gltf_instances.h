@@ -15,7 +15,7 @@ struct Instance {
 };
 
 bool isMirror(const Matrix& m);
-// Per mesh, in the order of a depth-first walk from the scene's roots.
-std::vector<std::vector<Instance>> listInstances(const Document& document, Budget& budget);
+// root: what the scene stands in. Per mesh, in the order of a depth-first walk from the scene's roots.
+std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget);
 
 }  // namespace ff::bake::gltf

@@ -103,6 +103,7 @@ uint32_t Materials::number(int material) {
     out.double_sided = m.doubleSided;
     out.cutout = m.alphaMode == "MASK";
     out.alpha_cutoff = static_cast<float>(m.alphaCutoff);
+    out.unlit = document_.objects.unlit[static_cast<size_t>(material)];
     if (pbr.baseColorTexture.index >= 0) {
       base = uvSource(pbr.baseColorTexture.texCoord, pbr.baseColorTexture.extensions);
       out.base_image = image(pbr.baseColorTexture.index, &out.repeat);
@@ -115,6 +116,20 @@ uint32_t Materials::number(int material) {
       out.metallic *= meanMetal(pbr.metallicRoughnessTexture.index);
   }
   return numbers_[material] = add(std::move(out), base, emission);
+}
+
+uint32_t Materials::with(uint32_t number, const Traits& traits) {
+  if (!traits.occlude_only && !traits.density && !traits.lamp) return number;
+  const Material& plain = scene_.materials[number];
+  const std::tuple key(number, traits.occlude_only.value_or(plain.occlude_only), traits.density.value_or(plain.density),
+                       traits.lamp.value_or(plain.lamp_group));
+  const auto known = variants_.find(key);
+  if (known != variants_.end()) return known->second;
+  Material out = plain;
+  out.occlude_only = std::get<1>(key);
+  out.density = std::get<2>(key);
+  out.lamp_group = std::get<3>(key);
+  return variants_[key] = add(std::move(out), base_[number], emission_[number]);
 }
 
 uint32_t Materials::tinted(uint32_t number, Vec3 color) {

@@ -21,6 +21,8 @@ class Materials {
   const UvSource& emission(uint32_t number) const { return emission_[number]; }
   // The material tinted by a vertex colour, which is rounded so that there are few of them.
   uint32_t tinted(uint32_t number, Vec3 color);
+  // The material as the traits want it: `number` itself where they say nothing of materials.
+  uint32_t with(uint32_t number, const Traits& traits);
 
  private:
   uint32_t add(Material material, UvSource base, UvSource emission);
@@ -34,6 +36,7 @@ class Materials {
   std::map<int, uint32_t> numbers_;
   std::map<uint32_t, uint32_t> images_;  // document's image -> Scene::images or kNone
   std::map<std::tuple<uint32_t, int, int, int>, uint32_t> tints_;
+  std::map<std::tuple<uint32_t, bool, float, std::string>, uint32_t> variants_;
   std::vector<UvSource> base_, emission_;
 };
 

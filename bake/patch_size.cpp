@@ -22,8 +22,12 @@ double alignedWith(float lattice, double cell) {
 float latticeOf(const Scene& scene, float finest_m) {
   std::vector<float> at;
   at.reserve(3 * scene.positions.size());
-  for (const Vec3& p : scene.positions)
-    for (int a = 0; a < 3; ++a) at.push_back(std::abs(p[a]));
+  std::vector<bool> used(scene.positions.size());  // what was left out has no say
+  for (const Triangle& t : scene.triangles)
+    for (const uint32_t v : t.v) used[v] = true;
+  for (size_t i = 0; i < used.size(); ++i)
+    for (int a = 0; a < 3; ++a)
+      if (used[i]) at.push_back(std::abs(scene.positions[i][a]));
   std::sort(at.begin(), at.end());
   at.erase(std::unique(at.begin(), at.end()), at.end());
   float spacing = at.empty() ? 0 : at.back();
@@ -46,6 +50,7 @@ Result<PatchSet> patchesWithin(uint32_t budget, const Scene& scene, PatchSetting
   bool look = false;  // for what is enclosed: takes longer, so only when the size is about right
   for (int attempt = 0;; ++attempt) {
     settings.cell_m = static_cast<float>(cell);
+    if (settings.done) *settings.done = 0;
     auto set = makePatches(scene, settings, look ? &caster : nullptr);
     if (!set) return set;
     const double ratio = static_cast<double>(set->patches.size()) / budget;

@@ -37,8 +37,7 @@ class PatchBuilder {
     if (!(s > 0) || !std::isfinite(s))
       return Error{ErrorCode::kUsage, scene_.name, "", "patch size must be positive", "give --patch-size in metres"};
     float largest = 0;
-    for (const Vec3& p : scene_.positions)
-      for (int a = 0; a < 3; ++a) largest = std::max(largest, std::abs(p[a]));
+    for (uint32_t t = 0; t < scene_.triangles.size(); ++t) largest = std::max(largest, largestCoordinate(scene_, t));
     if (largest / s >= static_cast<float>(kCellBias - 2))
       return Error{ErrorCode::kUsage, scene_.name, "", "the scene spans more than 2^20 cells from the origin",
                    "use a larger --patch-size"};
@@ -51,6 +50,8 @@ class PatchBuilder {
     const Fences* parting = fences ? &*fences : nullptr;
     if (auto cut = cutTriangles(PieceCutter(scene_, s, parting)); !cut) return cut.error();
     makeSides();
+    if (sides_.empty())
+      return Error{ErrorCode::kUsage, scene_.name, "", "no surface has patches: all of it only blocks light", "let some have patches"};
     const double crumb = static_cast<double>(settings_.crumb_fraction);
     labels_ = labelSides(pieces_, sides_, crumb, parting, sealed ? &*sealed : nullptr);
     if (labels_.home.empty()) labels_ = labelSides(pieces_, sides_, crumb, parting, nullptr);  // all is smaller than a cell
@@ -72,7 +73,11 @@ class PatchBuilder {
                    "use a larger --patch-size"};
     std::vector<std::vector<Piece>> parts(chunks);
     tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
-      for (size_t t = c * kChunk; t < std::min(n, (c + 1) * kChunk); ++t) cutter.cut(static_cast<uint32_t>(t), parts[c]);
+      const size_t end = std::min(n, (c + 1) * kChunk);
+      for (size_t t = c * kChunk; t < end; ++t) {
+        cutter.cut(static_cast<uint32_t>(t), parts[c]);
+        if (settings_.done) settings_.done->fetch_add(1, std::memory_order_relaxed);
+      }
     });
     set_.piece_start_.assign(n + 1, 0);
     for (auto& part : parts) {
@@ -94,7 +99,7 @@ class PatchBuilder {
       const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
       const Material& material = scene_.materials[scene_.triangles[pieces_[i].triangle].material];
       const uint16_t lamp_group = lamps_.of_material[scene_.triangles[pieces_[i].triangle].material];
-      for (uint32_t back = 0; back < (material.double_sided ? 2 : 1); ++back) sides_.push_back({key, o ^ back, lamp_group, i, back});
+      for (uint32_t back = 0; back < static_cast<uint32_t>(patchedSides(material)); ++back) sides_.push_back({key, o ^ back, lamp_group, i, back});
     }
     tbb::parallel_sort(sides_.begin(), sides_.end());
   }

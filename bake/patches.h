@@ -3,6 +3,7 @@
 // stands on it (fences.h) are never one patch. Sealed surface (sealed.h), which no light gets to, has none. Crumbs join a
 // neighbour (components.h), so that a patch may reach a little over its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
+#include <atomic>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -74,6 +75,7 @@ class PatchSet {
 
 struct PatchSettings {
   float cell_m = 1;
+  std::atomic<uint64_t>* done = nullptr;  // counts triangles as they are cut, for a progress bar
   float crumb_fraction = 0.05f;
   float metals = 1;  // share of a metal's mirror reflection that is carried on as diffuse light: albedo =
                      // base colour * (1 - metallic * (1 - metals)). 1 keeps its energy, 0 its darkness in a diffuse model.

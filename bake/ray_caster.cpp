@@ -51,15 +51,40 @@ struct RayCaster::State {
     if (isHole(*scene, t, RTCHitN_u(args->hit, args->N, 0), RTCHitN_v(args->hit, args->N, 0))) args->valid[0] = 0;
   }
 
-  RTCRayHit cast(const Ray& ray, float within_m) const {
+  struct Context {
+    RTCIntersectContext embree;  // first: Embree hands back a pointer to it
+    const State* state;
+  };
+  static void rejectBacks(const RTCFilterFunctionNArguments* args) {
+    if (args->valid[0] != -1) return;
+    if (!reinterpret_cast<const Context*>(args->context)->state->facesRay(args)) args->valid[0] = 0;
+  }
+
+  Context context(bool facing) const {
+    Context made;
+    rtcInitIntersectContext(&made.embree);  // INCOHERENT is its default; COHERENT halves the speed of diffuse rays
+    made.state = this;
+    if (facing) made.embree.filter = rejectBacks;
+    return made;
+  }
+
+  bool facesRay(const RTCFilterFunctionNArguments* args) const {
+    const uint32_t t = source[RTCHitN_geomID(args->hit, args->N, 0)][RTCHitN_primID(args->hit, args->N, 0)];
+    const Vec3 d{RTCRayN_dir_x(args->ray, args->N, 0), RTCRayN_dir_y(args->ray, args->N, 0), RTCRayN_dir_z(args->ray, args->N, 0)};
+    if (dot(normals[t], d) < 0) return true;
+    return scene->backs != Backs::kReflect && scene->materials[scene->triangles[t].material].double_sided;
+  }
+
+  // facing: hits surfaces only that face the ray.
+  RTCRayHit cast(const Ray& ray, float from_m, float within_m, bool facing) const {
     RTCRayHit rh;
     rh.ray = toEmbree(ray, within_m);
+    rh.ray.tnear = from_m;
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);  // INCOHERENT is its default; COHERENT halves the speed of diffuse rays
-    rtcIntersect1(embree, &context, &rh);
+    Context made = context(facing);
+    rtcIntersect1(embree, &made.embree, &rh);
     return rh;
   }
 };
@@ -75,7 +100,7 @@ Result<RayCaster> RayCaster::create(const Scene& scene) {
       state.get());
   state->embree = rtcNewScene(state->device);
   // Robust: a ray along the edge that two triangles share must hit one of them; a miss would be a leak of sky.
-  rtcSetSceneFlags(state->embree, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneFlags(state->embree, RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
   rtcSetSceneBuildQuality(state->embree, RTC_BUILD_QUALITY_MEDIUM);
   state->normals.resize(scene.triangles.size());
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
@@ -122,20 +147,33 @@ RayCaster& RayCaster::operator=(RayCaster&&) noexcept = default;
 RayCaster::~RayCaster() = default;
 
 Hit RayCaster::nearest(const Ray& ray, float within_m) const {
-  const RTCRayHit rh = state_->cast(ray, within_m);
+  const Scene& scene = *state_->scene;
+  RTCRayHit rh = state_->cast(ray, 0, within_m, scene.backs == Backs::kPass);
   if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return {};
   Hit hit;
-  hit.triangle = state_->source[rh.hit.geomID][rh.hit.primID];
-  hit.front = dot(state_->normals[hit.triangle], ray.direction) < 0;
-  hit.point = ray.origin + ray.direction * rh.ray.tfar;
+  const auto set = [&] {
+    hit.triangle = state_->source[rh.hit.geomID][rh.hit.primID];
+    hit.front = dot(state_->normals[hit.triangle], ray.direction) < 0;
+    hit.point = ray.origin + ray.direction * rh.ray.tfar;
+  };
+  set();
+  // Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
+  if (!hit.front && (scene.backs == Backs::kReflect || !scene.materials[scene.triangles[hit.triangle].material].double_sided)) {
+    const float steep = std::abs(dot(normalized(state_->normals[hit.triangle]), ray.direction));
+    const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f);
+    const RTCRayHit facing = state_->cast(ray, std::max(0.0f, rh.ray.tfar - reach), std::min(within_m, rh.ray.tfar + reach), true);
+    if (facing.hit.geomID != RTC_INVALID_GEOMETRY_ID) {
+      rh = facing;
+      set();
+    }
+  }
   return hit;
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {
   RTCRay r = toEmbree(ray, distance_m);
-  RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  rtcOccluded1(state_->embree, &context, &r);
+  State::Context context = state_->context(state_->scene->backs == Backs::kPass);
+  rtcOccluded1(state_->embree, &context.embree, &r);
   return r.tfar < 0;
 }
 
@@ -164,6 +202,6 @@ float RayCaster::surfaceOffset(uint32_t triangle) const {
   return kShare * largestCoordinate(*state_->scene, triangle);
 }
 
-uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray, std::numeric_limits<float>::infinity()).hit.primID; }
+uint32_t RayCaster::bareIntersect(const Ray& ray) const { return state_->cast(ray, 0, std::numeric_limits<float>::infinity(), false).hit.primID; }
 
 }  // namespace ff::bake

@@ -26,7 +26,8 @@ class RayCaster {
   RayCaster& operator=(RayCaster&&) noexcept;
   ~RayCaster();
 
-  // Thread-safe. Rays pass through the holes of cutout materials.
+  // Thread-safe. Rays pass through the holes of cutout materials, and backs where Scene::backs says so. Where a back and a surface that
+  // faces the ray lie in one place to rounding, the latter is hit.
   Hit nearest(const Ray& ray, float within_m = std::numeric_limits<float>::infinity()) const;
   bool occluded(const Ray& ray, float distance_m) const;
   // The triangles whose bounding boxes come within a distance of a point, ascending.

@@ -1,4 +1,4 @@
-// A scene as the baker sees it: world-space triangles in metres, flat materials, images. No third-party types.
+// A scene as the baker sees it: triangles in metres, in world space but for the origin, flat materials, images. No third-party types.
 // Whatever leaves the importer holds: finite coordinates, vertex numbers < positions.size(), material numbers
 // < materials.size(), image numbers < images.size() or kNone, no degenerate (zero-area) triangles.
 #pragma once
@@ -37,6 +37,9 @@ struct Material {
   bool double_sided = false;
   bool cutout = false;           // alphaMode MASK, or BLEND taken as MASK at 0.5
   float alpha_cutoff = 0.5f;
+  bool unlit = false;            // KHR_materials_unlit
+  bool occlude_only = false;     // blocks light and has no patches
+  float density = 1;             // of patches: 2 has them half as large
 };
 
 struct Triangle {
@@ -44,14 +47,31 @@ struct Triangle {
   uint32_t material = 0;
 };
 
+// A run of triangles that come from one mesh at one node.
+struct Object {
+  uint32_t first_triangle = 0;
+  uint32_t node = kNone, mesh = kNone;  // of the file
+};
+
+// What light does that comes to the back of a single-sided surface.
+enum class Backs : uint8_t {
+  kAbsorb,   // it ends there
+  kReflect,  // as on the front: every material is double_sided
+  kPass      // it goes on
+};
+
 struct Scene {
   std::string name;                 // file name without folders
-  std::vector<Vec3> positions;      // m, world space
+  std::array<double, 3> origin{};   // m, in world space: of all coordinates here; not 0 only where the scene stands far from the world's
+  std::vector<Vec3> positions;      // m
   std::vector<Triangle> triangles;  // counter-clockwise seen from the front (mirrored nodes are already flipped)
   std::vector<Vec2> uv0;            // base colour, KHR_texture_transform applied; one per position, or empty
   std::vector<Vec2> uv1;            // emission, likewise
   std::vector<Material> materials;
   std::vector<Image> images;
+  std::vector<Object> objects;     // ascending; empty where nothing is known
+  std::vector<std::string> node_names, mesh_names;
+  Backs backs = Backs::kAbsorb;
   std::vector<std::string> warnings;
   std::array<uint8_t, 16> content_hash{};  // XXH3-128 of the above arrays: part of the bake key
 };

@@ -6,6 +6,8 @@ namespace ff::bake {
 
 // Of a triangle's corners, m: what rounding of a point on it is in proportion to.
 float largestCoordinate(const Scene& scene, uint32_t t);
+// How many sides have patches: 0 (in the light's way only) to 2.
+inline int patchedSides(const Material& m) { return m.occlude_only ? 0 : m.double_sided ? 2 : 1; }
 float triangleArea(const Scene& scene, uint32_t t);  // m2
 // Whether a cutout triangle lets a ray through at a point; b, c: barycentric weights of corners 1 and 2.
 bool isHole(const Scene& scene, uint32_t t, float b, float c);

@@ -3,6 +3,8 @@
 
 #include <CLI/CLI.hpp>
 #include <chrono>
+#include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 
@@ -88,6 +90,7 @@ nlohmann::json toJson(const ff::bake::BakeStats& s) {
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},
+          {"warnings", s.warnings},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"levels", levels}};
 }
@@ -114,7 +117,22 @@ int main(int argc, char** argv) {
   app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
-  app.add_option("--leave-out", settings.leave_out, "materials, by name, whose triangles take no part (toon outlines)");
+  ff::bake::ImportLimits import;
+  std::string up = "y";
+  app.add_option("--exclude,--leave-out", settings.cleanup.exclude,
+                 "nodes, meshes and materials, by name (* stands for any text), that take no part: toon outlines, helpers");
+  app.add_option("--occlude-only", settings.cleanup.occlude_only, "the same, which block light and have no patches");
+  app.add_flag("--keep-sky-dome", settings.cleanup.keep_sky_dome, "bake a dome of pictures of the sky like any surface");
+  app.add_option("--backs", settings.cleanup.backs, "what single-sided surfaces do to light from behind: absorb, reflect, pass")
+      ->transform(CLI::CheckedTransformer(
+          std::map<std::string, ff::bake::Backs>{
+              {"absorb", ff::bake::Backs::kAbsorb}, {"reflect", ff::bake::Backs::kReflect}, {"pass", ff::bake::Backs::kPass}},
+          CLI::ignore_case))
+      ->default_str("absorb");
+  app.add_option("--scale", import.scale, "metres in a unit of the file: 0.01 for centimetres")->check(CLI::PositiveNumber)->capture_default_str();
+  app.add_option("--up", up, "the file's axis that points up: y or z")->check(CLI::IsMember({"y", "z"}))->capture_default_str();
+  app.add_option("--memory", settings.memory_bytes, "a bake that would need more is refused: 16G (default: what is free)")
+      ->transform(CLI::AsSizeValue(true));
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
   app.add_flag("--quiet", quiet, "no progress");
   app.add_flag("--json", json, "print what was baked as JSON");
@@ -125,15 +143,28 @@ int main(int argc, char** argv) {
     return app.exit(e) == 0 ? 0 : 1;
   }
   settings.geometry = !no_geometry;
+  import.z_up = up == "z";
 
   ProgressPrinter printer(quiet);
-  auto scene = ff::bake::importGltf(scene_path);
+  import.progress = [&, last = Clock::time_point{}](uint64_t done, uint64_t total) mutable {
+    if (done < total && Clock::now() - last < std::chrono::milliseconds(100)) return;
+    last = Clock::now();
+    printer("import", done, total);
+  };
+  auto scene = ff::bake::importGltf(scene_path, import);
+  printer.endLine();
   if (!scene) return fail(scene.error());
+  settings.announce = [&](const ff::bake::BakeEstimate& e) {
+    if (!quiet)
+      fmt::print(stderr, "estimate  about {:.2g} patches of {:.3g} m: {:.2g} GB of memory, {:.2g} GB on disk, {:.0f} min\n", e.patches, e.cell_m,
+                 e.memory_bytes * 1e-9, e.disk_bytes * 1e-9, std::ceil(e.seconds / 60));
+  };
   for (const std::string& warning : scene->warnings) fmt::print(stderr, "ffbake: warning: {}\n", warning);
   auto stats = ff::bake::bakeWorld(*scene, settings, out,
                                    [&](const char* phase, uint64_t done, uint64_t total) { printer(phase, done, total); });
   printer.endLine();
   if (!stats) return fail(stats.error());
+  for (const std::string& warning : stats->warnings) fmt::print(stderr, "ffbake: warning: {}\n", warning);
   if (json) {
     fmt::print("{}\n", toJson(*stats).dump());
   } else {

@@ -132,7 +132,7 @@ TEST_F(Bake, LeavesOutTheMaterialsItIsToldToAndRefusesAnUnknownOne) {
   s.materials[0].name = "floor";
   s.materials[1].name = "outline";
   const auto all = bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16}, path("all.ffm"));
-  const auto rest = bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16, .leave_out = {"outline"}}, path("rest.ffm"));
+  const auto rest = bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16, .cleanup = {.exclude = {"outline"}}}, path("rest.ffm"));
   ASSERT_TRUE(all && rest);
   EXPECT_EQ(all->levels[0].nodes, 2u);
   EXPECT_EQ(rest->levels[0].nodes, 1u);
@@ -140,7 +140,7 @@ TEST_F(Bake, LeavesOutTheMaterialsItIsToldToAndRefusesAnUnknownOne) {
   auto a = formats::World::open(path("all.ffm")), b = formats::World::open(path("rest.ffm"));
   ASSERT_TRUE(a && b);
   EXPECT_NE(a->info().bake_key, b->info().bake_key);
-  const auto unknown = bakeWorld(s, {.cell_m = 1, .leave_out = {"Outline"}}, path("unknown.ffm"));
+  const auto unknown = bakeWorld(s, {.cell_m = 1, .cleanup = {.exclude = {"Outline"}}}, path("unknown.ffm"));
   ASSERT_FALSE(unknown);
   EXPECT_EQ(unknown.error().code, ErrorCode::kUsage);
 }

@@ -1,8 +1,14 @@
 // Scenes as people export them, each with one odd thing, beside their clean twins.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <map>
+#include <tuple>
 
+#include "bake/coincident.h"
+#include "bake/gltf_import.h"
+#include "bake/scene_cleanup.h"
 #include "tests/bake/analytic_scenes.h"
 
 namespace ff::bake::test {
@@ -40,6 +46,292 @@ TEST(OddGeometry, AStrayTriangleFarAwayChangesNothing) {
     EXPECT_NEAR(with.area, alone.area, 1e-4) << stray_m;
     // Patches' numbers are others, so are their rays: 256 rays of each of some 600 patches, a standard error of 0.1 % of a share near 0.5.
     EXPECT_NEAR(with.sky / alone.sky, 1, 0.005) << stray_m;
+  }
+}
+
+// A scene as others might have modelled it: turned, in other units, mirrored, its triangles in another order.
+struct Variant {
+  const char* name;
+  Vec3 x, y, z;  // where the axes point
+  float scale;
+  bool shuffled;
+  bool turned() const { return std::abs(x.x) < 0.99f; }
+};
+
+const Variant kVariants[] = {
+    {"as it is", {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 1, false},
+    {"shuffled", {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 1, true},
+    {"turned by 30 degrees", {0.8660254f, 0, -0.5f}, {0, 1, 0}, {0.5f, 0, 0.8660254f}, 1, false},
+    {"tilted", {0.8f, 0.6f, 0}, {-0.48f, 0.64f, 0.6f}, {0.36f, -0.48f, 0.8f}, 1, true},
+    {"centimetres", {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 100, true},
+    {"mirrored", {-1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 1, false},
+};
+
+Scene varied(const Scene& scene, const Variant& v) {
+  Scene out = scene;
+  for (Vec3& p : out.positions) p = (v.x * p.x + v.y * p.y + v.z * p.z) * v.scale;
+  if (dot(cross(v.x, v.y), v.z) < 0)
+    for (Triangle& t : out.triangles) std::swap(t.v[1], t.v[2]);
+  if (v.shuffled) std::reverse(out.triangles.begin(), out.triangles.end());
+  return out;
+}
+
+// Mean irradiance by place, to 2 m of the scene as modelled, and by where the surface faces: emission, bounces and a sky that gives 1.
+using Light = std::map<std::tuple<int, int, int, int>, std::pair<double, double>>;  // area, area times irradiance
+
+Light lightOf(const Scene& whole, const Variant& v, std::vector<std::string>& notes, CleanupSettings settings = {}) {
+  const Scene odd = varied(whole, v);
+  auto clean = cleanUp(odd, settings);
+  EXPECT_TRUE(clean);
+  notes = clean->notes;
+  const CastScene c = cast(clean->scene ? *clean->scene : odd, 0.5f * v.scale, 512);
+  const size_t n = c.set.patches.size();
+  std::vector<double> e(n), b(n);
+  for (int bounce = 0; bounce < 40; ++bounce) {
+    for (size_t i = 0; i < n; ++i) b[i] = static_cast<double>(c.set.patches[i].emission.x) + static_cast<double>(c.set.patches[i].albedo.x) * e[i];
+    for (size_t i = 0; i < n; ++i) {
+      e[i] = c.rows.sky[i];
+      for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) e[i] += c.rows.count[k] * b[c.rows.column[k]];
+      e[i] /= std::max(1u, c.rows.rays[i] - c.rows.buried[i]);
+    }
+  }
+  Light light;
+  for (size_t i = 0; i < n; ++i) {
+    const Patch& p = c.set.patches[i];
+    const auto back = [&](Vec3 q) { return Vec3{dot(q, v.x), dot(q, v.y), dot(q, v.z)}; };
+    const Vec3 at = back(p.centroid) / v.scale, normal = back(p.normal);
+    const int axis = std::abs(normal.y) > 0.9f ? 1 : std::abs(normal.x) > 0.9f ? 0 : 2;
+    const double area = static_cast<double>(p.area_m2) * exposedFraction(c.rows, i) / static_cast<double>(v.scale * v.scale);
+    auto& bin = light[{static_cast<int>(std::floor(at.x / 2)), static_cast<int>(std::floor(at.y / 2)),
+                       static_cast<int>(std::floor(at.z / 2)), 2 * axis + (normal[axis] < 0)}];
+    bin.first += area;
+    bin.second += area * e[i];
+  }
+  return light;
+}
+
+// Where the twin has surface, `odd` has as much of it and the same light. Bins hold a dozen patches or more of 512 rays: their
+// noise is about 1 %, patches that lie across two bins add as much.
+void expectSameLight(const Light& odd, const Light& twin, const char* variant) {
+  double area = 0, twin_area = 0, sum = 0, twin_sum = 0, worst = 0;
+  for (const auto& [place, t] : twin) {
+    const auto at = odd.find(place);
+    const auto o = at == odd.end() ? std::pair(0.0, 0.0) : at->second;
+    area += o.first;
+    twin_area += t.first;
+    sum += o.second;
+    twin_sum += t.second;
+    if (t.first > 2 && t.second > 0.02 && o.first > 0) worst = std::max(worst, std::abs(o.second / o.first / (t.second / t.first) - 1));
+  }
+  EXPECT_NEAR(area / twin_area, 1, 0.01) << variant;
+  EXPECT_NEAR(sum / twin_sum, 1, 0.015) << variant;
+  EXPECT_LT(worst, 0.08) << variant;
+}
+
+// A room of 4 x 3 x 4 m seen from inside, at x.
+void addRoom(Scene& s, float x, uint32_t walls, uint32_t ceiling) {
+  const auto p = [&](int i, int j, int k) { return Vec3{x + 4 * static_cast<float>(i), 3 * static_cast<float>(j), 4 * static_cast<float>(k)}; };
+  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(1, 0, 1), p(1, 0, 0), walls);
+  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1), walls);
+  addQuad(s, p(1, 0, 0), p(1, 0, 1), p(1, 1, 1), p(1, 1, 0), walls);
+  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0), walls);
+  addQuad(s, p(0, 0, 1), p(0, 1, 1), p(1, 1, 1), p(1, 0, 1), walls);
+  addQuad(s, p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1), ceiling);
+}
+
+enum class Twice { kNothing, kLamp, kWall, kWallOtherDiagonal, kWallNearly };
+
+Scene lampRoom(Twice twice) {
+  Scene s;
+  const uint32_t walls = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {}, {1, 1, 1}), other = addMaterial(s, {.5f, .5f, .5f});
+  addRoom(s, 0, walls, walls);
+  const Vec3 a{0, 0, 0}, b{0, 3, 0}, c{0, 3, 4}, d{0, 0, 4};
+  if (twice == Twice::kWall) addQuad(s, a, b, c, d, other);
+  if (twice == Twice::kWallOtherDiagonal) addQuad(s, b, c, d, a, walls);
+  if (twice == Twice::kWallNearly) {
+    const Vec3 off{0, 1e-6f, -1e-6f};
+    addQuad(s, a + off, b + off, c + off, d + off, other);
+  }
+  for (int i = 0; i < (twice == Twice::kLamp ? 3 : 1); ++i) addBlock(s, {1.5f, 1.8f, 1.5f}, {2.5f, 2.2f, 2.5f}, lamp);
+  return s;
+}
+
+TEST(OddGeometry, WhatLiesTwiceAtOnePlaceCountsOnce) {
+  std::vector<std::string> notes;
+  for (const Variant& v : kVariants) {
+    const Light twin = lightOf(lampRoom(Twice::kNothing), v, notes);
+    EXPECT_TRUE(notes.empty());
+    for (const Twice twice : {Twice::kLamp, Twice::kWall, Twice::kWallOtherDiagonal, Twice::kWallNearly}) {
+      const Light odd = lightOf(lampRoom(twice), v, notes);
+      ASSERT_EQ(notes.size(), 1u) << v.name;
+      EXPECT_NE(notes[0].find(twice == Twice::kLamp ? "24 triangles" : "2 triangles"), std::string::npos) << notes[0];
+      expectSameLight(odd, twin, v.name);
+    }
+  }
+}
+
+TEST(OddGeometry, OfTwoSurfacesAtOnePlaceTheEmitterStaysWhateverTheOrder) {
+  for (const bool lamp_first : {false, true}) {
+    Scene s;
+    const uint32_t wall = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {}, {1, 1, 1});
+    for (const bool first : {true, false}) addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, first == lamp_first ? lamp : wall);
+    const auto duplicate = findDuplicates(s);
+    for (uint32_t t = 0; t < 4; ++t) EXPECT_EQ(duplicate[t], s.triangles[t].material == wall);
+  }
+}
+
+TEST(OddGeometry, BacksOfOneAnotherHolesAndNeighboursAreNoDuplicates) {
+  Scene s;
+  const uint32_t wall = addMaterial(s, {.5f, .5f, .5f}), leaves = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[leaves].cutout = true;
+  addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, wall);
+  addQuad(s, {0, 0, 0}, {1, 0, 0}, {1, 0, 1}, {0, 0, 1}, wall);    // the other side of a sheet
+  addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, leaves);  // seen through nothing but itself
+  addQuad(s, {1, 0, 0}, {1, 0, 1}, {2, 0, 1}, {2, 0, 0}, wall);
+  for (const bool d : findDuplicates(s)) EXPECT_FALSE(d);
+}
+
+TEST(OddGeometry, MillionsAtOnePlaceTakeLinearTime) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0, 0}, {0, 0, 1}, {1, 0, 1}, {1, 0, 0}, m);
+  for (int i = 0; i < 1'000'000; ++i) s.triangles.push_back(s.triangles[0]);
+  const auto duplicate = findDuplicates(s);
+  EXPECT_EQ(std::count(duplicate.begin(), duplicate.end(), true), 1'000'000);
+}
+
+TEST(OddGeometry, RoomsThatShareAPlaneOfNoThicknessAreEachAsIfAlone) {
+  std::vector<std::string> notes;
+  const auto rooms = [](bool other, bool other_first) {
+    Scene s;
+    const uint32_t walls = addMaterial(s, {.5f, .5f, .5f}), lamp = addMaterial(s, {}, {1, 1, 1});
+    if (other && other_first) addRoom(s, 0, walls, walls);
+    addRoom(s, 4, walls, lamp);
+    if (other && !other_first) addRoom(s, 0, walls, walls);
+    return s;
+  };
+  for (const Variant& v : kVariants)
+    for (const bool other_first : {true, false}) {
+      const Light twin = lightOf(rooms(false, false), v, notes), odd = lightOf(rooms(true, other_first), v, notes);
+      EXPECT_TRUE(notes.empty());
+      expectSameLight(odd, twin, v.name);
+      double dark = 0, lit = 0;
+      for (const auto& [place, bin] : odd) (twin.count(place) ? lit : dark) += bin.second;
+      EXPECT_LE(dark, 0.02 * lit) << v.name;  // 0 where no patch of the floors lies in both rooms
+      if (!v.turned()) {
+        EXPECT_EQ(dark, 0) << v.name;
+      }
+    }
+}
+
+// A block on a ground of 20 m under a dome of 500 m.
+Scene domed(bool dome) {
+  Scene s;
+  const uint32_t ground = addMaterial(s, {.5f, .5f, .5f}), sky = addMaterial(s, {.4f, .6f, 1});
+  addQuad(s, {-10, 0, -10}, {-10, 0, 10}, {10, 0, 10}, {10, 0, -10}, ground);
+  addBlock(s, {-2, 0, -2}, {2, 3, 2}, ground);
+  s.materials[sky].unlit = true;
+  if (!dome) return s;
+  const auto at = [](int r, int k) {
+    const double t = std::numbers::pi / 2 * r / 8, p = 2 * std::numbers::pi * (k % 16) / 16;
+    return Vec3{static_cast<float>(500 * std::sin(t) * std::cos(p)), static_cast<float>(500 * std::cos(t)),
+                static_cast<float>(500 * std::sin(t) * std::sin(p))};
+  };
+  for (int r = 0; r < 8; ++r)
+    for (int k = 0; k < 16; ++k) {
+      if (r > 0) addTriangle(s, at(r, k), at(r + 1, k + 1), at(r, k + 1), sky);
+      addTriangle(s, at(r, k), at(r + 1, k), at(r + 1, k + 1), sky);
+    }
+  return s;
+}
+
+TEST(OddGeometry, ASkyDomeIsLeftOutAndSaid) {
+  std::vector<std::string> notes;
+  for (const Variant& v : kVariants) {
+    const Light twin = lightOf(domed(false), v, notes);
+    EXPECT_TRUE(notes.empty());
+    const Light odd = lightOf(domed(true), v, notes);
+    ASSERT_EQ(notes.size(), 1u) << v.name;
+    EXPECT_NE(notes[0].find("--keep-sky-dome"), std::string::npos);
+    expectSameLight(odd, twin, v.name);
+  }
+  EXPECT_FALSE(cleanUp(domed(true), {.keep_sky_dome = true})->scene);
+}
+
+TEST(OddGeometry, OnlyWhatIsASkyIsTakenForOne) {
+  Scene s = domed(true);
+  s.materials[1].unlit = false;
+  EXPECT_FALSE(cleanUp(s, {})->scene);  // a dome of stone
+  for (const char* name : {"SkyDome_01", "sky", "Sky Sphere", "low-skybox.003"}) {
+    s.materials[1].name = name;
+    EXPECT_TRUE(cleanUp(s, {})->scene) << name;
+  }
+  for (const char* name : {"skylight", "Skyscraper", "husky", "dome"}) {
+    s.materials[1].name = name;
+    EXPECT_FALSE(cleanUp(s, {})->scene) << name;
+  }
+  Scene ground = domed(false);  // an unlit ground under what stands on it
+  addQuad(ground, {-100, 0, -100}, {-100, 0, 100}, {100, 0, 100}, {100, 0, -100}, 1);
+  EXPECT_FALSE(cleanUp(ground, {})->scene);
+}
+
+TEST(OddGeometry, BacksAbsorbReflectOrPass) {
+  // A floor under a sheet that faces up: the floor sees its back.
+  Scene s;
+  const uint32_t white = addMaterial(s, {.8f, .8f, .8f});
+  addQuad(s, {0, 0, 0}, {0, 0, 4}, {4, 0, 4}, {4, 0, 0}, white);
+  addQuad(s, {0, 2.5f, 0}, {0, 2.5f, 4}, {4, 2.5f, 4}, {4, 2.5f, 0}, white);
+  struct Sums {
+    double floor_m2 = 0, floor = 0, down_m2 = 0;
+  };
+  const auto sums = [&](Backs backs) {
+    std::vector<std::string> notes;
+    Sums sum;
+    for (const auto& [place, bin] : lightOf(s, kVariants[0], notes, {.backs = backs})) {
+      const auto [x, y, z, facing] = place;
+      if (facing == 3 && y > 0) sum.down_m2 += bin.first;
+      if (facing != 2 || y != 0) continue;
+      sum.floor_m2 += bin.first;
+      sum.floor += bin.second;
+    }
+    return sum;
+  };
+  const Sums absorb = sums(Backs::kAbsorb), reflect = sums(Backs::kReflect), pass = sums(Backs::kPass);
+  for (const Sums& each : {absorb, reflect, pass}) EXPECT_NEAR(each.floor_m2, 16, 0.1);
+  EXPECT_EQ(absorb.down_m2, 0);
+  EXPECT_NEAR(reflect.down_m2, 16, 0.1);
+  EXPECT_EQ(pass.down_m2, 0);
+  EXPECT_NEAR(pass.floor, 16, 0.01);  // all of the sky
+  EXPECT_LT(absorb.floor, 12);
+  // The floor's form factor to the sheet is 0.4 (squares at 0.625 of their edge): it gets back at least 0.4 * 0.8 of what it sends there.
+  EXPECT_GT(reflect.floor, absorb.floor * (1 + 0.8 * 0.8 * 0.4 * 0.4));
+}
+
+TEST(OddGeometry, ChosenObjectsAreLeftOutOrOnlyBlockLight) {
+  Scene s = lampRoom(Twice::kNothing);
+  s.node_names = {"room", "bulb 1"};
+  s.objects = {{0, 0, kNone}, {12, 1, kNone}};
+  EXPECT_EQ(cleanUp(s, {.exclude = {"bulb*"}})->scene->triangles.size(), 12u);
+  EXPECT_EQ(cleanUp(s, {.exclude = {"bulb*"}})->scene->objects[1].first_triangle, 12u);
+  EXPECT_FALSE(cleanUp(s, {.exclude = {"Bulb*"}}));
+  const auto blocks = cleanUp(s, {.occlude_only = {"bulb ?"}});
+  ASSERT_TRUE(blocks && blocks->scene);
+  EXPECT_NE(blocks->scene->content_hash, s.content_hash);
+  const CastScene c = cast(*blocks->scene, 0.5f, 256), all = cast(s, 0.5f, 256);
+  EXPECT_NEAR(c.set.area_m2, 80, 1e-3);
+  EXPECT_NEAR(all.set.area_m2, 83.6, 1e-3);
+  uint64_t absorbed = 0;
+  for (const uint32_t hits : c.rows.absorbed) absorbed += hits;
+  EXPECT_GT(absorbed, 0u);  // rays end on the lamp
+}
+
+TEST(OddGeometry, OfTheTrialsIsAsTheirTwins) {
+  const std::string folder = std::string(FF_SHARED_SCENES) + "/trials/";
+  for (const auto& [odd, twin] : {std::pair("duplamp2", "duplamp1"), {"dupr2", "dupr1"}, {"tworooms_zero2", "oneroom"}, {"dome_unlit", "nodome"}}) {
+    auto a = importGltf(folder + odd + ".glb"), b = importGltf(folder + twin + ".glb");
+    if (!a || !b) GTEST_SKIP() << folder << " is absent";
+    std::vector<std::string> notes;
+    expectSameLight(lightOf(*a, kVariants[0], notes), lightOf(*b, kVariants[0], notes), odd);
   }
 }
 

@@ -138,7 +138,7 @@ TEST_F(SeenScene, SurfaceWithoutAPatchCountsAsUnlit) {
   scene_ = scene;
   scene_.name = "scene";
   const std::string path = folder_.file("world.ffm");
-  ASSERT_TRUE(bake::bakeWorld(scene_, {.cell_m = 1, .rays = 64, .threads = 1, .leave_out = {"other"}}, path));
+  ASSERT_TRUE(bake::bakeWorld(scene_, {.cell_m = 1, .rays = 64, .threads = 1, .cleanup = {.exclude = {"other"}}}, path));
   auto opened = MeasuredWorld::open(scene_, path);
   ASSERT_TRUE(opened) << opened.error().line();
   world_ = std::make_unique<MeasuredWorld>(std::move(*opened));

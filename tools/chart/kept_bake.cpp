@@ -15,8 +15,10 @@ Result<KeptBake> keptBake(const bake::Scene& scene, const bake::BakeSettings& se
   KeptBake kept{path};
   const std::string timed = path + ".seconds";
   const bool from_a_file = scene.content_hash != decltype(scene.content_hash){};
+  const auto clean = bake::cleanUp(scene, settings.cleanup);
+  if (!clean) return clean.error();
   if (const auto there = formats::World::open(path); there && from_a_file)
-    if (there->info().bake_key == bake::bakeKey(scene, settings, settings.cell_m > 0 ? settings.cell_m : there->info().cell_m))
+    if (there->info().bake_key == bake::bakeKey(clean->scene ? *clean->scene : scene, settings, settings.cell_m > 0 ? settings.cell_m : there->info().cell_m))
       if (std::ifstream in(timed); in >> kept.seconds) return kept;
   const auto start = Clock::now();
   const auto made = bake::bakeWorld(scene, settings, path);

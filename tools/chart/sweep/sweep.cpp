@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "bake/gltf_import.h"
+#include "bake/scene_cleanup.h"
 #include "tools/chart/kept_bake.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/sweep/error_sources.h"
@@ -78,13 +79,6 @@ std::vector<Varied> settingsToTry(const Knobs& standard, bool quick) {
   return all;
 }
 
-bake::Scene without(bake::Scene scene, const std::vector<std::string>& leave_out) {
-  std::erase_if(scene.triangles, [&](const bake::Triangle& t) {
-    return std::find(leave_out.begin(), leave_out.end(), scene.materials[t.material].name) != leave_out.end();
-  });
-  return scene;
-}
-
 std::string bakeName(const BakeKnobs& k, uint32_t patch_budget) {
   const std::string size = k.cell_m > 0 ? fmt::format("cell{:.4g}", static_cast<double>(k.cell_m)) : fmt::format("patches{}", patch_budget);
   return fmt::format("{}_rays{}_quanta{}", size, k.rays, k.quanta);
@@ -98,7 +92,6 @@ Result<KeptBake> bakeAt(const SweepOptions& options, const bake::Scene& scene, c
   settings.rays = knobs.rays;
   settings.quanta = knobs.quanta;
   settings.seed = options.seed;
-  settings.leave_out = options.leave_out;
   auto baked = keptBake(scene, settings, (std::filesystem::path(options.folder) / (name + ".ffm")).string());
   if (baked && baked->made) say(fmt::format("baked {} in {:.1f} s", name, baked->seconds));
   return baked;
@@ -228,7 +221,9 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   Sweep sweep;
   auto scene = bake::importGltf(options.scene_path);
   if (!scene) return scene.error();
-  sweep.scene = std::make_unique<const bake::Scene>(without(std::move(*scene), options.leave_out));
+  auto clean = bake::cleanUp(*scene, {.exclude = options.leave_out});  // the truth is of what is baked
+  if (!clean) return clean.error();
+  sweep.scene = std::make_unique<const bake::Scene>(clean->scene ? std::move(*clean->scene) : std::move(*scene));
   KeptBake standard{options.world_path, kNotMeasured};
   if (standard.path.empty()) {
     auto baked = bakeAt(options, *sweep.scene, {.cell_m = options.cell_m}, say);

@@ -18,7 +18,7 @@ struct SweepOptions {
   std::string scene_path;
   std::string world_path;                 // of the default bake; empty: baked into `folder`
   std::string folder;                     // for worlds that are baked on the way; they are left there and used again
-  std::vector<std::string> leave_out;     // BakeSettings::leave_out
+  std::vector<std::string> leave_out;     // CleanupSettings::exclude
   float cell_m = 0;                       // 0: the world's, or from the patch budget
   uint32_t patch_budget = 60000;
   bool quick = false;

@@ -1,0 +1,119 @@
+#include "bake/estimate.h"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <limits>
+#include <string>
+#include <thread>
+#include <unordered_set>
+
+#include "bake/sobol.h"
+#include "bake/surface_sampling.h"
+
+namespace ff::bake {
+namespace {
+
+// Measured on towns and rooms; they need to be right within a factor of two only.
+constexpr double kBytesAPiece = 450, kBytesATriangle = 400, kBytesAPatch = 2500, kBytesARay = 2.2;
+constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
+constexpr double kRaysASecond = 3e6;  // of one core, over the whole bake
+
+std::string rounded(double x, const char* unit = "") {
+  const char* prefix[] = {"", "k", "M", "G", "T", "P"};
+  size_t k = 0;
+  while (x >= 1000 && k + 1 < std::size(prefix)) x /= 1000, ++k;
+  char text[32];
+  std::snprintf(text, sizeof text, x < 10 && k > 0 ? "%.1f" : "%.0f", x);
+  return std::string(text) + (*unit ? " " : "") + prefix[k] + unit;
+}
+
+double memoryOf(double patches, double pieces, double triangles, uint32_t rays) {
+  return triangles * kBytesATriangle + pieces * kBytesAPiece + patches * (kBytesAPatch + kBytesARay * rays);
+}
+
+uint64_t numberIn(const std::string& path) {
+  std::ifstream in(path);
+  uint64_t value = 0;
+  return in >> value ? value : std::numeric_limits<uint64_t>::max();
+}
+
+}  // namespace
+
+uint64_t freeMemory() {
+  constexpr uint64_t kAll = std::numeric_limits<uint64_t>::max();
+  uint64_t free = kAll;
+  std::ifstream in("/proc/meminfo");
+  std::string key;
+  uint64_t kib;
+  for (std::string unit; in >> key >> kib; std::getline(in, unit))
+    if (key == "MemAvailable:") free = kib << 10;
+  std::ifstream group("/proc/self/cgroup");
+  for (std::string line; std::getline(group, line);) {
+    if (line.compare(0, 3, "0::") != 0) continue;
+    for (std::string folder = "/sys/fs/cgroup" + line.substr(3);; folder.resize(folder.rfind('/'))) {  // limits of those above count, too
+      const uint64_t limit = numberIn(folder + "/memory.max"), used = numberIn(folder + "/memory.current");
+      if (limit != kAll && used != kAll) free = std::min(free, limit - std::min(limit, used));
+      if (folder.size() <= std::string("/sys/fs/cgroup").size()) break;
+    }
+  }
+  return free;
+}
+
+BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
+  BakeEstimate e;
+  double area = 0;
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t)
+    area += static_cast<double>(triangleArea(scene, t)) * patchedSides(scene.materials[scene.triangles[t].material]);
+  const double s = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / std::max(1u, settings.patch_budget));
+  e.cell_m = s;
+  std::unordered_set<uint64_t> small;  // cells and orientations of triangles smaller than a cell, which share patches
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
+    const auto& v = scene.triangles[t].v;
+    const Vec3 a = scene.positions[v[0]], b = scene.positions[v[1]], c = scene.positions[v[2]], n = cross(b - a, c - a);
+    const double whole = static_cast<double>(length(n)) / 2;
+    // A plane cuts (|x| + |y| + |z|) cells a cell's face of area, its unit normal's components; its border some more.
+    const double across = whole > 0 ? (std::abs(static_cast<double>(n.x)) + std::abs(static_cast<double>(n.y)) + std::abs(static_cast<double>(n.z))) / (2 * whole) : 1;
+    const double border = static_cast<double>(length(b - a) + length(c - b) + length(a - c));
+    const double pieces = 1 + whole * across / (s * s) + border / s;
+    e.pieces += pieces;
+    const int sides = patchedSides(scene.materials[scene.triangles[t].material]);
+    if (border > 4 * s || settings.cell_m == 0) {
+      e.patches += sides * std::max(whole * across / (s * s), whole > s * s ? 1.0 : 0.0);
+    } else if (sides > 0) {
+      const Vec3 at = (a + b + c) / 3.0f;
+      uint64_t key = std::abs(n.x) > std::abs(n.y) ? (n.x < 0) : 2 + (n.y < 0);
+      if (std::abs(n.z) > std::max(std::abs(n.x), std::abs(n.y))) key = 4 + (n.z < 0);
+      for (int k = 0; k < 3; ++k) key = mix64(key) + static_cast<uint64_t>(std::llround(std::floor(static_cast<double>(at[k]) / s)));
+      if (small.insert(key).second) e.patches += sides;
+    }
+  }
+  if (settings.cell_m == 0) e.patches = settings.patch_budget;
+  const unsigned cores = std::max(1u, settings.threads > 0 ? static_cast<unsigned>(settings.threads) : std::thread::hardware_concurrency());
+  e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()), settings.rays);
+  e.disk_bytes = e.patches * (kDiskAPatch + kDiskAQuantum * settings.quanta);
+  e.seconds = e.patches * settings.rays / (kRaysASecond * cores);
+  return e;
+}
+
+Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& e) {
+  const auto free = static_cast<double>(settings.memory_bytes > 0 ? settings.memory_bytes : freeMemory());
+  if (e.memory_bytes <= free) return {};
+  std::string remedy = "split the scene, or leave objects out with --exclude";
+  BakeSettings larger = settings;
+  larger.cell_m = static_cast<float>(e.cell_m);
+  for (int doubled = 0; doubled < 10; ++doubled) {
+    larger.cell_m *= 2;
+    if (estimateBake(scene, larger).memory_bytes > 0.8 * free) continue;
+    char size[32];
+    std::snprintf(size, sizeof size, "%.3g", static_cast<double>(larger.cell_m));
+    remedy = settings.cell_m > 0 ? std::string("use --patch-size ") + size + " or larger, or a --patch-budget" : "use a smaller --patch-budget or fewer --rays";
+    break;
+  }
+  return Error{ErrorCode::kUsage, scene.name, "",
+               "about " + rounded(e.patches) + " patches of " + rounded(e.pieces) + " pieces need " + rounded(e.memory_bytes, "B") +
+                   " of memory, of which " + rounded(free, "B") + (settings.memory_bytes > 0 ? " may be used" : " are free"),
+               std::move(remedy)};
+}
+
+}  // namespace ff::bake

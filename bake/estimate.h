@@ -1,0 +1,19 @@
+// What a bake will come to, before it is begun: a patch size that is a little too small asks for more memory than any machine has.
+#pragma once
+#include <cstdint>
+#include <string>
+
+#include "bake/bake.h"
+
+namespace ff::bake {
+
+// Memory that this process may still take, B: what the machine has free, or its control group, whichever is less.
+uint64_t freeMemory();
+
+// From areas and boxes alone, in one pass over the triangles. cell_m: the patch size; 0: as the budget asks.
+BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings);
+
+// Refuses (kUsage) what does not fit into settings.memory_bytes, or into what is free where that is 0, and says which size would.
+Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& estimate);
+
+}  // namespace ff::bake
