@@ -13,6 +13,7 @@ namespace {
 
 constexpr size_t kMostPairs = 400;  // pieces of one place: past this it is crowded, and crumbs are joined by nearness anyway
 constexpr double kOwnPatch = 0.1;   // of a crumb's largest area: a fenced one that is larger has a patch of its own
+constexpr double kTiny = 0.02;      // likewise: crumbs that are less together join a patch of another orientation
 
 class Labeller {
  public:
@@ -35,6 +36,7 @@ class Labeller {
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       if (kind_[i] == Kind::kCrumb && host[i] == kNobody && isSealed(i)) kind_[i] = Kind::kSealed;
     });
+    tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeTiny(place_start_[g], place_start_[g + 1], host); });
     Labels labels;
     std::vector<uint32_t> patch(sides_.size(), kSealed);  // per root
     for (size_t g = 0; g < places; ++g) number(place_start_[g], place_start_[g + 1], host, patch, labels.home);
@@ -195,15 +197,52 @@ class Labeller {
     }
   }
 
+  bool isLoose(size_t root, const std::vector<uint32_t>& host) const { return kind_[root] == Kind::kCrumb && host[root] == kNobody; }
+  bool isOwn(size_t root, const std::vector<uint32_t>& host) const {
+    return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumb_);
+  }
+
+  // Finds hosts for crumbs that would make a patch too small to be of use: of the same cell or, if that has none, the cells around it.
+  void placeTiny(size_t begin, size_t end, std::vector<uint32_t>& host) const {
+    double area = 0;
+    for (size_t i = begin; i < end; ++i) {
+      if (isOwn(i, host)) return;
+      if (isLoose(i, host)) area += area_[i];
+    }
+    if (area >= kTiny * crumb_) return;
+    for (size_t i = begin; i < end; ++i)
+      if (isLoose(i, host)) host[i] = nearestWhole(i);
+  }
+
+  uint32_t nearestWhole(size_t root) const {
+    uint32_t best = kNobody;
+    double nearest = 1e300;
+    const auto look = [&](const Cell& cell) {
+      const uint64_t key = hilbertKey(cell);
+      for (auto s = std::lower_bound(sides_.begin(), sides_.end(), key, [](const Side& side, uint64_t k) { return side.key < k; });
+           s != sides_.end() && s->key == key; ++s) {
+        const auto j = static_cast<size_t>(s - sides_.begin());
+        if (kind_[j] != Kind::kWhole || s->lamp_group != sides_[root].lamp_group) continue;
+        const Point d = centre_[root] - centre_[j];
+        if (dot(d, d) >= nearest) continue;
+        nearest = dot(d, d);
+        best = static_cast<uint32_t>(j);
+      }
+    };
+    const Cell own = piece(root).cell;
+    look(own);
+    if (best == kNobody)
+      for (int32_t n = 0; n < 27; ++n) look({own[0] + n % 3 - 1, own[1] + n / 3 % 3 - 1, own[2] + n / 9 - 1});
+    return best;
+  }
+
   // Numbers the patches of one place.
   void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
     std::vector<uint32_t> own, loose;
     for (size_t i = begin; i < end; ++i) {
-      const bool crumb = kind_[i] == Kind::kCrumb && host[i] == kNobody;
-      const bool fenced = crumb && parted_[i] && area_[i] >= kOwnPatch * crumb_;
-      if (kind_[i] == Kind::kWhole || fenced) {
+      if (isOwn(i, host)) {
         own.push_back(static_cast<uint32_t>(i));
-      } else if (crumb) {
+      } else if (isLoose(i, host)) {
         loose.push_back(static_cast<uint32_t>(i));
       }
     }

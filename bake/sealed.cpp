@@ -88,6 +88,12 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
     }
   }
   if (2 * hidden > origins) return true;
+  if (origins == 0) {  // holes alone?
+    SurfaceMean mean(1);
+    return std::all_of(samples.begin(), samples.end(), [&](const Sample& t) {
+      return mean.add(scene_, t.side.piece->triangle, t.a, t.b, t.c, length(cross(t.b - t.a, t.c - t.a)) / 2) == 0;
+    });
+  }
   if (near == 0 || near < kClosed * (origins - hidden)) return false;
   if (!(scene_.materials[scene_.triangles[first.triangle].material].emission == Vec3{})) return false;
   for (uint32_t k = 0; k < std::min(kWalks, near); ++k)

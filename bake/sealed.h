@@ -1,7 +1,7 @@
 // Finds surface that takes no part in the exchange of light.
 //
 // It is *sealed* when light gets neither in nor out: the inside of a closed tube or of a wall that is modelled from both sides,
-// what lies inside another solid or behind a single-sided sheet, what another surface lies on. Without that, the least that
+// what lies inside another solid or behind a single-sided sheet, what another surface lies on, what is all hole. Without that, the least that
 // leaks into a cavity with an albedo near 1 would fill it with light, and the few rays that get away from under a sheet
 // would stand for all of them.
 #pragma once

@@ -118,6 +118,34 @@ TEST(Patches, CrumbsJoinTheNearestPatchOfTheirCell) {
   EXPECT_EQ(set->patchAt(4, true, {0.65f, 0.78f, 0.65f}), set->patchAt(2, true, {0.2f, 0.8f, 0.2f}));
 }
 
+TEST(Patches, NextToNothingIsNoPatchOfItsOwn) {
+  // A rim of 0.05 % of a cell's face around a floor, and one in the cell above the floor's.
+  for (const float y : {0.5f, 1.001f}) {
+    Scene s;
+    const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+    addQuad(s, {0, 0.5f, 0}, {0, 0.5f, 1}, {1, 0.5f, 1}, {1, 0.5f, 0}, m);
+    addQuad(s, {0.5f, y, 0.2f}, {0.5f, y + 0.0005f, 0.2f}, {0.5f, y + 0.0005f, 1}, {0.5f, y, 1}, m);
+    const auto set = makePatches(s, {.cell_m = 1});
+    ASSERT_TRUE(set);
+    ASSERT_EQ(set->patches.size(), 1u) << y;
+    EXPECT_NEAR(set->patches[0].area_m2, 1.0004, 1e-6);
+  }
+}
+
+TEST(Patches, WhatIsAllHoleHasNone) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f}), leaf = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[leaf].cutout = true;
+  s.materials[leaf].alpha = 0;
+  addQuad(s, {0, 0.2f, 0}, {0, 0.2f, 1}, {1, 0.2f, 1}, {1, 0.2f, 0}, m);
+  addQuad(s, {0, 0.8f, 0}, {0, 0.8f, 1}, {1, 0.8f, 1}, {1, 0.8f, 0}, leaf);
+  const auto caster = RayCaster::create(s);
+  const auto set = makePatches(s, {.cell_m = 1}, &*caster);
+  ASSERT_TRUE(caster && set);
+  ASSERT_EQ(set->patches.size(), 1u);
+  EXPECT_NEAR(set->patches[0].area_m2, 1, 1e-6);
+}
+
 TEST(Patches, ADoubleSidedSurfaceHasAPatchASide) {
   Scene s;
   const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
