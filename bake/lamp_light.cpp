@@ -11,7 +11,7 @@ namespace {
 
 // Of a row's rays: those that look around, and the least that are cast towards lamps.
 constexpr uint32_t kLookShare = 32, kLeastShare = 16, kLeastRays = 16;
-constexpr double kError = 0.01;  // relative, of a patch's light of lamps: more rays until then
+constexpr double kError = 0.02;  // relative, of a patch's light of lamps: more rays until then
 // What is known of an aim before a ray was sent there: that it is seen by this much, with the weight of one ray.
 constexpr double kSeenBefore = 0.25;
 
@@ -51,8 +51,8 @@ void LampLight::aim(uint32_t patch) {
 
   points_.resize(std::max(kLeastRays, most_rays_ / kLookShare));
   surfacePoints(scene_, set_, patch, sobol_, seed_ ^ kLookSeed, caster_, points_);
-  std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1);
-  double mean = 0, square = 0;
+  std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1), square(aims_.size());
+  double mean = 0;
   for (size_t k = 0; k < points_.size(); ++k) {
     const double choice = (static_cast<double>(k) + 0.5) / static_cast<double>(points_.size());
     const size_t a = static_cast<size_t>(std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), choice * cumulative_.back()),
@@ -63,17 +63,21 @@ void LampLight::aim(uint32_t patch) {
     seen[a] += 1;
     const double light = luminance(set_.patches[s.to.patch].emission) * s.arriving / s.density;
     mean += light;
-    square += light * light;
+    square[a] += light * light;
   }
   const auto n = static_cast<double>(points_.size());
   mean /= n;
-  const double variance = std::max(0.0, square / n - mean * mean);
-  const double wanted = mean > 0 ? variance / (mean * mean * kError * kError) : 0;
-  count_ = std::max({kLeastRays, most_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(most_rays_, wanted))});
   all = 0;
-  for (size_t a = 0; a < aims_.size(); ++a) all += chance_[a] *= seen[a] / cast[a];
-  for (double& c : chance_) c /= all;
+  for (size_t a = 0; a < aims_.size(); ++a) all += chance_[a] * seen[a] / cast[a];
+  double second = 0;  // moment, of a ray's light by the chances from now on
+  for (size_t a = 0; a < aims_.size(); ++a) {
+    const double change = seen[a] / cast[a] / all;
+    chance_[a] *= change;
+    second += square[a] / n / change;
+  }
   setChances();
+  const double wanted = mean > 0 ? std::max(0.0, second / (mean * mean) - 1) / (kError * kError) : 0;
+  count_ = std::max({kLeastRays, most_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(most_rays_, wanted))});
 }
 
 LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) const {

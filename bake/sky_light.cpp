@@ -14,7 +14,8 @@ constexpr uint32_t kGuidedShare = 4;    // of a row's rays: so many are guided
 constexpr float kNeighbourCells = 4;
 constexpr float kBeside = 0.25f;        // a bin around gets this much of what the one in the middle gets
 constexpr float kBinRadians = 0.04f;    // about the width of a bin
-constexpr int kMostBeside = 8;          // bins
+constexpr int kMostBeside = 4;          // bins
+constexpr size_t kGuidingRays = 1000;   // of a neighbourhood, at most: evenly taken of all
 constexpr float kHorizon = -0.1f;       // cosine
 constexpr uint64_t kSeed = 0x736b7921;
 
@@ -136,25 +137,30 @@ std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCas
   std::vector<SkySums> sky(found.size());
   SkyGuide guide;
   std::vector<SurfacePoint> points;
+  std::vector<const SkyRays::Ray*> passed;
   const uint32_t looking = lookingRays(rays), main = rays - looking, guided = rays / kGuidedShare;
   for (uint32_t i = 0; i < found.size(); ++i) {
     const Patch& patch = set.patches[first + i];
     const bool enough = guided == 0 || static_cast<double>(found[i].look.size()) > kEnough * looking;
     const float radius = 0.5f * length(patch.bounds.hi - patch.bounds.lo);
     guide.clear();
-    if (!enough)
+    if (!enough) {
+      passed.clear();
       for (uint32_t j = 0; j < found.size(); ++j) {
         if (length(set.patches[first + j].centroid - patch.centroid) > kNeighbourCells * set.cell_m) continue;
         for (const auto* rays_of : {&found[j].look, &found[j].main}) {
           if (j == i && rays_of == &found[j].main) continue;  // those are counted below
-          for (const SkyRays::Ray& ray : *rays_of) {
-            const bool far = !std::isfinite(ray.opening_m);
-            const Vec3 way = far ? ray.direction : ray.origin + ray.direction * ray.opening_m - patch.centroid;
-            const float distance = length(way);
-            if (distance > 0) guide.add(way / distance, far ? 0 : radius / distance);
-          }
+          for (const SkyRays::Ray& ray : *rays_of) passed.push_back(&ray);
         }
       }
+      for (size_t k = 0; k < passed.size(); k += 1 + passed.size() / kGuidingRays) {
+        const SkyRays::Ray& ray = *passed[k];
+        const bool far = !std::isfinite(ray.opening_m);
+        const Vec3 way = far ? ray.direction : ray.origin + ray.direction * ray.opening_m - patch.centroid;
+        const float distance = length(way);
+        if (distance > 0) guide.add(way / distance, far ? 0 : radius / distance);
+      }
+    }
     guide.close(patch.normal);
     if (guide.empty()) {  // all of the row's rays, or none that it could do better with
       const double weight = 1.0 / (enough ? rays : main);
