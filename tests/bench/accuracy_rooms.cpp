@@ -56,7 +56,7 @@ Result<Leak> leakInside(const bake::Scene& scene, const std::string& path, const
 }  // namespace
 
 chart::SeenSettings seenSettings(const AccuracyOptions& o) {
-  return {.pixels = o.quick ? 128u : 512u, .paths = o.quick ? 1'000'000u : 12'000'000u};
+  return {.pixels = o.quick ? 128u : 512u, .paths = o.quick ? 1'000'000u : 32'000'000u};
 }
 
 Result<void> printSeen(chart::MeasuredWorld& world, std::span<const Vec3> eyes, const chart::Lighting& light, const std::string& metric,
