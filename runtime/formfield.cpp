@@ -222,8 +222,9 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
 
 Result<void> FormfieldWorld_T::readRadiosity() {
   radiosity.resize(updater.matrix().slots());
-  if (auto read = updater.radiosity(radiosity); !read) return read;
+  if (auto read = updater.reflected(radiosity); !read) return read;
   residual = residual_probe.look(updater.matrix(), updater.source(), radiosity);
+  updater.addEmission(radiosity);
   return {};
 }
 
@@ -257,7 +258,7 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
     auto made = device.makeSolver(*world, better);
     if (!made) return made.error();
     radiosity.resize(updater.matrix().slots());
-    if (auto read = updater.radiosity(radiosity); !read) return read;
+    if (auto read = updater.reflected(radiosity); !read) return read;
     if (auto set = made->solver->update(updater.matrix(), {}); !set) return set;
     if (auto set = made->solver->setRadiosity(radiosity); !set) return set;
     if (auto set = made->solver->setSource(updater.source()); !set) return set;
@@ -377,6 +378,7 @@ FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* 
       report.hi[a] = i.bounds.hi[a];
     }
     report.has_geometry = w.world->hasGeometry();
+    report.lamp_groups = w.updater.lamps().groups();
     return giveReport(report, info);
   });
 }
@@ -409,10 +411,51 @@ FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t firs
 FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!sky) return usageError("sky", "is NULL");
-    Sky set{vectorOf(sky->radiance), {vectorOf(sky->gradient[0]), vectorOf(sky->gradient[1]), vectorOf(sky->gradient[2])}};
+    Sky set;
+    set.l0 = vectorOf(sky->radiance);
+    for (int c = 0; c < 3; ++c) {
+      set.l1[c] = vectorOf(sky->gradient[c]);
+      std::copy_n(sky->quadratic[c], 5, set.l2[c].begin());
+    }
     if (auto taken = w.updater.setSky(set); !taken) return taken;
     w.sky = set;
     return {};
+  });
+}
+
+FormfieldResult formfieldLampGroups(FormfieldWorld world, uint32_t first, uint32_t count, FormfieldLampGroup* groups) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    if (first > known.size() || count > known.size() - first) return usageError("lamp groups", "reach past the world's last one");
+    if (count > 0 && !groups) return usageError("groups", "is NULL");
+    for (uint32_t i = 0; i < count; ++i) {
+      const formats::LampGroup& g = known[first + i];
+      groups[i] = {g.name.c_str(), {g.emission.x, g.emission.y, g.emission.z}, static_cast<float>(g.area_m2), g.patches};
+    }
+    return {};
+  });
+}
+
+FormfieldResult formfieldFindLampGroup(FormfieldWorld world, const char* name, uint32_t* group) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!name || !group) return usageError("name or group", "is NULL");
+    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    const auto at = std::find_if(known.begin(), known.end(), [&](const formats::LampGroup& g) { return g.name == name; });
+    if (at == known.end()) return usageError(name, "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
+    *group = static_cast<uint32_t>(at - known.begin());
+    return {};
+  });
+}
+
+FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const float scale[3]) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!scale) return usageError("scale", "is NULL");
+    if (group >= w.updater.lamps().groups())
+      return usageError("group", "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
+    const Vec3 set = vectorOf(scale);
+    if (!isFinite(set)) return usageError("scale", "is not finite");
+    if (set.x < 0 || set.y < 0 || set.z < 0) return usageError("scale", "is negative", "a lamp that is off has 0");
+    return w.updater.setLamp(group, set);
   });
 }
 

@@ -111,6 +111,7 @@ typedef struct FormfieldWorldInfo {
   float cell_m;        /* edge of the grid that patches were cut by */
   float lo[3], hi[3];  /* bounds */
   uint32_t has_geometry; /* 1: drawing triangles were baked in; probes need them */
+  uint32_t lamp_groups;  /* see formfieldLampGroups */
 } FormfieldWorldInfo;
 
 FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* info);
@@ -129,7 +130,7 @@ typedef struct FormfieldNode {
   float albedo[3];
 } FormfieldNode;
 
-/* Direct irradiance (sun, lamps; not the sky, not what surfaces emit) of the nodes of one tile, W/m2, three floats a
+/* Direct irradiance (sun, lamps of your own; not the sky, not what surfaces emit) of the nodes of one tile, W/m2, three floats a
  * node; of a cluster the area-weighted mean over its patches. Called from formfieldFrame when a tile becomes active and
  * after formfieldLightChanged. `irradiance` is zero beforehand. */
 typedef void (*FormfieldDirectLight)(void* user, uint32_t level, uint32_t tile, uint32_t first_node, uint32_t nodes,
@@ -144,13 +145,33 @@ FormfieldResult formfieldLightChanged(FormfieldWorld world);
 FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t first, uint32_t count,
                                              const float* irradiance);
 
-/* A sky of radiance L(w) = radiance[c] + dot(gradient[c], w) for channel c and unit direction w, W/(m2 sr). */
+/* A sky of radiance L(w) = radiance[c] + dot(gradient[c], w) + sum over k of quadratic[c][k] P_k(w) for channel c and unit
+ * direction w = (x, y, z), W/(m2 sr), with P = {2xy, 2yz, 2zx, (3y^2 - 1) / 2, x^2 - z^2}. All zero: no sky. */
 typedef struct FormfieldSky {
   float radiance[3];
   float gradient[3][3];
+  float quadratic[3][5];
 } FormfieldSky;
 
 FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky);
+
+/* Surfaces that emit light are switched by *lamp group*: those of one material, or of what the scene names together. */
+typedef struct FormfieldLampGroup {
+  const char* name;  /* valid as long as the world */
+  float emission[3]; /* as baked, W/m2: the largest of its patches, a channel at a time */
+  float area_m2;
+  uint32_t patches;
+} FormfieldLampGroup;
+
+/* The world's lamp groups first .. first + count - 1; FormfieldWorldInfo::lamp_groups says how many there are. */
+FormfieldResult formfieldLampGroups(FormfieldWorld world, uint32_t first, uint32_t count, FormfieldLampGroup* groups);
+/* The number of the group of that name. FORMFIELD_ERROR_USAGE: there is none. */
+FormfieldResult formfieldFindLampGroup(FormfieldWorld world, const char* name, uint32_t* group);
+/* From the next frame on a lamp group emits scale[c] times what was baked: {0, 0, 0} switches it off, {1, 1, 1} brings the
+ * same light back, to the bit, others dim and colour it. Finite, >= 0. Its light changes at every level of the cut at once
+ * and bounces from the next frame on; nothing is loaded and formfieldLightChanged need not be called. As cheap as a new
+ * sky, so a lamp may flicker. */
+FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const float scale[3]);
 
 /* ---- Frames ---- */
 
@@ -207,7 +228,7 @@ typedef struct FormfieldStats {
   uint32_t resident_tiles, wanted_tiles, pending_tiles;
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
   double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
-                                                  negative: not measured. formfieldRecord measures multibounce only, all
+                                                  (B: what surfaces reflect); negative: not measured. formfieldRecord measures multibounce only, all
                                                   leaves, before the last step of the frame frames_in_flight ago */
   uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
   uint64_t dense_refused, dense_rebuilds;      /* blocks that could not enter with correct digits; matrices built anew */

@@ -28,6 +28,7 @@ class VulkanRecording final : public Recording {
   Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, Vec3 observer, Vec3 velocity) {
     const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
     commands_ = commands;
+    updater_ = &world.updater;
     world.recording = true;
     auto stepped = world.step(observer, velocity);
     world.recording = false;
@@ -44,7 +45,13 @@ class VulkanRecording final : public Recording {
     return {};
   }
 
-  Result<void> record(int iterations) override { return recorder_.record(commands_, iterations); }
+  Result<void> record(int iterations) override {
+    if (updater_->emissionChange() != emission_) {
+      if (auto set = recorder_.setEmission(updater_->emission()); !set) return set;
+      emission_ = updater_->emissionChange();
+    }
+    return recorder_.record(commands_, iterations);
+  }
   const VulkanRecorder& recorder() const { return recorder_; }
 
  private:
@@ -53,29 +60,33 @@ class VulkanRecording final : public Recording {
     uint32_t slots = 0;  // 0: nothing was recorded there
   };
   VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
-      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {}
+      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {
+    reflected_.reserve(kMaxSlots);
+  }
 
   uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
 
-  // Tiles that have entered since start from their parents, as on the device.
+  // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now.
   void readBack(FormfieldWorld_T& world, const Region& arrived) {
     const LocalMatrix& matrix = world.updater.matrix();
-    world.radiosity.resize(matrix.slots());
+    reflected_.resize(matrix.slots());
     if (arrived.slots > 0)
-      std::memcpy(world.radiosity.data(), buffer_.mapped() + offset(),
+      std::memcpy(reflected_.data(), buffer_.mapped() + offset(),
                   std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
     for (size_t t = matrix.tiles.size(); t-- > 0;) {  // parents first
       const SlotRange& range = matrix.tiles[t];
       if (arrived.slots > 0 && entered_[range.first_slot] <= arrived.record) continue;
       if (arrived.slots == 0 && entered_[range.first_slot] != records_) continue;
       for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot)
-        world.radiosity[slot] = matrix.parent_slot[slot] != kNoSlot ? world.radiosity[matrix.parent_slot[slot]] : Vec4{};
+        reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
     }
+    world.radiosity.assign(reflected_.begin(), reflected_.end());
+    world.updater.addEmission(world.radiosity);
   }
 
   void recordReadBack(uint32_t slots) {
     const VkBufferCopy copy{0, offset(), slots * sizeof(Vec4)};
-    vkCmdCopyBuffer(commands_, recorder_.radiosityBuffer(), buffer_.handle(), 1, &copy);
+    vkCmdCopyBuffer(commands_, recorder_.reflectedBuffer(), buffer_.handle(), 1, &copy);
     auto done = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
     done.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
     done.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
@@ -87,9 +98,11 @@ class VulkanRecording final : public Recording {
   VulkanRecorder& recorder_;
   Buffer buffer_;
   std::vector<Region> regions_;
+  std::vector<Vec4> reflected_;    // by slot, as far as it has come back
   std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
-  uint64_t records_ = 0;
+  uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
   VkCommandBuffer commands_ = VK_NULL_HANDLE;
+  const Updater* updater_ = nullptr;
 };
 
 // Null where the world's solver cannot record.

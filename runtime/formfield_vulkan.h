@@ -38,18 +38,21 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
 /* formfieldFrame, but the device's part goes into the caller's command buffer, outside of a render pass, and nothing waits
  * for the device. Command buffers run once, in the order of their recording, on the queue of the device; before a world's
  * next call here the one recorded frames_in_flight calls ago has finished. What they write is visible to all later
- * commands. formfieldRadiosity, and with it formfieldSample, then lag by frames_in_flight frames.
+ * commands. formfieldRadiosity, and with it formfieldSample, then lag by frames_in_flight frames
+ * in what surfaces reflect.
  * gather and multibounce record. Leaves enter multibounce's dense matrix 256 a frame; those that wait are lit all the
  * same, as quickly as by gather. Its FormfieldStats lag by frames_in_flight frames. The matrix is watched by its residual
  * and, where the cut stands for frames_in_flight frames, by random vectors: it is built anew where they find it wrong.
  * FORMFIELD_ERROR_UNSUPPORTED: seed, which is a baseline, or the CPU has taken over; formfieldFrame works. */
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
                                 const float velocity[3]);
-/* Radiosity by slot, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage buffer, always the same.
+/* Radiosity by slot, reflected and emitted, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage
+ * buffer, always the same.
  * Null where formfieldRecord is unsupported. */
 VkBuffer formfieldRadiosityBuffer(FormfieldWorld world);
-/* What leaves each slot without bounces, likewise: emission + albedo * (direct + sky irradiance), from formfield.h's
- * setters. A caller whose shaders know the direct light may write it instead after each formfieldRecord. */
+/* What each slot reflects of light that arrives without a bounce, likewise: albedo * irradiance from direct light, the sky and
+ * lamps (what a slot emits is not in it), from formfield.h's setters. A caller whose shaders know the direct light may write
+ * it instead after each formfieldRecord. */
 VkBuffer formfieldSourceBuffer(FormfieldWorld world);
 
 #ifdef __cplusplus

@@ -66,6 +66,48 @@ struct Extremes {
 
 }  // namespace
 
+namespace {
+
+// each(node, irradiance without a bounce)
+template <class Each>
+Result<void> eachArriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps,
+                          Each&& each) {
+  std::vector<Vec3> from_lamps;
+  for (const formats::TileInfo& info : world.tiles(0)) {
+    const auto strip = world.strip(info.id);
+    if (!strip) return strip.error();
+    from_lamps.resize(strip->nodes.size());
+    lamps.irradiance(strip->lamps, from_lamps);
+    for (size_t i = 0; i < strip->nodes.size(); ++i) {
+      const Vec3 own = direct.empty() ? Vec3{} : direct[info.first_node + i];
+      each(strip->nodes[i], own + from_lamps[i] + skyIrradiance(sky, strip->nodes[i]));
+    }
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<std::vector<Vec3>> arriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps) {
+  std::vector<Vec3> light;
+  light.reserve(world.levels()[0].nodes);
+  auto read = eachArriving(world, direct, sky, lamps, [&](const formats::Node&, Vec3 e) { light.push_back(e); });
+  if (!read) return read.error();
+  return light;
+}
+
+Result<std::vector<double>> fullSource(const formats::World& world, std::span<const Vec3> direct, const Sky& sky,
+                                       const Lamps& lamps) {
+  std::vector<double> source;
+  source.reserve(size_t{3} * world.levels()[0].nodes);
+  auto read = eachArriving(world, direct, sky, lamps, [&](const formats::Node& node, Vec3 e) {
+    const Vec3 m = node.albedo * e;
+    for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(m[c]));
+  });
+  if (!read) return read.error();
+  return source;
+}
+
 Result<FullSolution> solveFullWorld(const formats::World& world, std::span<const double> source,
                                     const FullSolveSettings& settings) {
   const uint32_t patches = world.levels()[0].nodes;

@@ -4,6 +4,8 @@
 #include <vector>
 
 #include "formats/reader.h"
+#include "runtime/lamps.h"
+#include "runtime/sky.h"
 
 namespace ff::runtime {
 
@@ -14,11 +16,18 @@ struct FullSolveSettings {
 };
 
 struct FullSolution {
-  std::vector<double> radiosity;  // 3 per patch, W/m2
+  std::vector<double> radiosity;  // reflected, 3 per patch, W/m2: emission is the caller's to add
   std::vector<double> gathered;   // F B: what arrives through the rows, 3 per patch, W/m2
   int iterations = 0;
   double last_change = 0;
 };
+
+// Irradiance of every patch without a bounce: direct, from sky and lamps. direct: by patch, W/m2; empty: none. Reads every
+// level-0 strip. Errors: unreadable strips.
+Result<std::vector<Vec3>> arriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps);
+// M of every patch, 3 each: albedo times that.
+Result<std::vector<double>> fullSource(const formats::World& world, std::span<const Vec3> direct, const Sky& sky,
+                                       const Lamps& lamps);
 
 // source: M, 3 per patch (as Solver::setSource), patches in node order.
 // Memory: 6 bytes an entry. Errors: unreadable strips.

@@ -144,7 +144,7 @@ void Probes::sample(std::span<const Vec3> points, std::span<const Vec3> normals,
 
 void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
   Kept& kept = kept_[at];
-  kept = {point, normal, state_, samples_, 0, 0, {}};
+  kept = {point, normal, state_, samples_, 0, 0, {}, {}};
   // Duff et al. Building an Orthonormal Basis, Revisited. 2017.
   const float sign = std::copysign(1.0f, normal.z), a = -1 / (sign + normal.z), b = normal.x * normal.y * a;
   const Vec3 x{1 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x};
@@ -163,6 +163,8 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
     if (plane.slot == kNoSlot && sky) {
       ++kept.sky;
       kept.sky_directions += ray.direction;
+      const std::array<float, 5> quadratics = skyQuadratics(ray.direction);
+      for (size_t k = 0; k < quadratics.size(); ++k) kept.sky_quadratics[k] += quadratics[k];
     } else if (plane.slot != kNoSlot ? plane.front : facet.front) {
       const uint32_t slot =
           plane.slot != kNoSlot
@@ -188,9 +190,9 @@ Vec3 Probes::evaluate(size_t at, std::span<const Vec4> radiosity, const Sky& sky
     const Vec4& b = radiosity[places[i].slot];
     sum += static_cast<float>(places[i].rays) * Vec3{b.x, b.y, b.z};
   }
-  const auto open = static_cast<float>(kept.sky);
-  sum += kPi * (open * sky.l0 + Vec3{dot(sky.l1[0], kept.sky_directions), dot(sky.l1[1], kept.sky_directions),
-                                     dot(sky.l1[2], kept.sky_directions)});
+  Sky open = sky;
+  open.l0 *= static_cast<float>(kept.sky);
+  sum += kPi * skyRadiance(open, kept.sky_directions, kept.sky_quadratics);
   return sum / static_cast<float>(rays_.size());
 }
 

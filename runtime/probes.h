@@ -3,6 +3,7 @@
 // nearest tiles (FacetScene) and beyond them planes that stand for the leaves of the cut (ProbeTree). What was met is kept until the point moves or the cut changes, so that a frame's light costs a sparse
 // dot product with its radiosity. Nothing is interpolated between probes, so no light comes through walls.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -62,6 +63,7 @@ class Probes {
     uint32_t places = 0;
     uint32_t sky = 0;  // rays
     Vec3 sky_directions;  // sum
+    std::array<float, 5> sky_quadratics{};  // sum
   };
   struct Place {
     uint16_t slot, rays;

@@ -1,5 +1,6 @@
 // B = M + albedo * F B over the slots of a local matrix; one interface for the CPU and Vulkan.
-// M is the radiosity that leaves a slot without bounces among slots: emission + albedo * (direct + sky irradiance).
+// B is the radiosity that slots reflect, M what they reflect of light that arrives without a bounce among slots: albedo *
+// (direct + sky + lamps' irradiance). What they emit is no solver's: lamps light slots past the rows (runtime/lamps.h).
 #pragma once
 #include <memory>
 #include <span>

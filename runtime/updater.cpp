@@ -16,7 +16,7 @@ double msSince(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-// Radiosity to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
+// What is reflected, to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
 // ancestor's.
 void carryOver(const formats::World& world, std::span<const SlotRange> old, std::span<const Vec4> values,
                const LocalMatrix& now, std::span<Vec4> carried) {
@@ -39,17 +39,10 @@ Error noLight(std::string place, const char* why) {
 
 }  // namespace
 
-Vec3 skyIrradiance(const Sky& sky, const formats::Node& node) {
-  if (node.quanta == 0) return {};
-  const float open = 3.14159265358979f * static_cast<float>(node.sky) / static_cast<float>(node.quanta);
-  return open * Vec3{sky.l0.x + dot(sky.l1[0], node.sky_direction), sky.l0.y + dot(sky.l1[1], node.sky_direction),
-                     sky.l0.z + dot(sky.l1[2], node.sky_direction)};
-}
-
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light)
-    : world_(world), streamer_(streamer), solver_(solver), assembler_(world, far_light) {
-  for (auto* per_slot : {&source_, &direct_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
-  direct_irradiance_.reserve(kMaxSlots);
+    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), assembler_(world, far_light) {
+  for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
+  for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->reserve(kMaxSlots);
   tiles_before_.reserve(kMaxSlots / 16);
 }
 
@@ -58,8 +51,21 @@ Result<void> Updater::setSky(const Sky& sky) {
   for (const Vec3& gradient : sky.l1)
     for (int a = 0; a < 3; ++a)  // which has either sign
       if (const char* why = whyNoLight(std::abs(gradient[a]))) return noLight("sky, gradient", why);
+  for (const auto& quadratic : sky.l2)
+    for (const float q : quadratic)
+      if (const char* why = whyNoLight(std::abs(q))) return noLight("sky, quadratic", why);
   sky_ = sky;
   sky_changed_ = true;
+  return {};
+}
+
+Result<void> Updater::setLamp(uint32_t group, Vec3 scale) {
+  FF_CHECK_LT(group, lamps_.groups());
+  if (const char* why = whyNoLight(world_.info().lamp_groups[group].emission * scale)) return noLight("lamp group " + std::to_string(group), why);
+  scale = max(scale, {});
+  if (lamps_.scale(group) == scale) return {};
+  lamps_.set(group, scale);
+  lamps_changed_ = true;
   return {};
 }
 
@@ -109,7 +115,7 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   const bool changed = assembler_.change().any;
   if (changed)
     if (auto taken = takeUpChange(); !taken) return taken.error();
-  if (sky_changed_ || light_changed_)
+  if (sky_changed_ || light_changed_ || lamps_changed_)
     if (auto relit = relightAll(); !relit) return relit.error();
   FrameStats stats = counts_;
   stats.matrix_changed = changed;
@@ -131,10 +137,15 @@ Result<void> Updater::takeUpChange() {
     carryOver(world_, tiles_before_, radiosity_, m, before_);
   }
   started_ = true;
-  for (auto* per_slot : {&source_, &direct_, &radiosity_}) per_slot->resize(m.slots());
-  direct_irradiance_.resize(m.slots());
+  for (auto* per_slot : {&source_, &emission_, &radiosity_}) per_slot->resize(m.slots());
+  for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->resize(m.slots());
+  if (change.renumbered)
+    std::fill(emission_.begin(), emission_.end(), Vec4{});
+  else
+    for (const SlotRange& range : change.left) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
   // Direct light is asked for new tiles only; the others keep theirs.
-  for (const uint32_t tile : change.entered) light(tile, true);
+  for (const uint32_t tile : change.entered) light(tile, true, true);
+  ++emission_change_;
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   counts_ = {};
   counts_.slots = m.slots();
@@ -148,23 +159,29 @@ Result<void> Updater::takeUpChange() {
   return solver_.setSource(source_);
 }
 
-void Updater::light(uint32_t tile, bool ask_direct_light) {
+void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
   const SlotRange& range = matrix().tiles[tile];
   const stream::ResidentStrip& strip = assembler_.strip(tile);
-  const std::span<Vec3> irradiance = std::span(direct_irradiance_).subspan(range.first_slot, range.nodes);
+  const std::span<Vec3> direct = std::span(direct_irradiance_).subspan(range.first_slot, range.nodes);
+  const std::span<Vec3> lamps = std::span(lamp_irradiance_).subspan(range.first_slot, range.nodes);
   if (ask_direct_light) {
-    std::fill(irradiance.begin(), irradiance.end(), Vec3{});
-    if (direct_light_) direct_light_(range.id, irradiance);
+    std::fill(direct.begin(), direct.end(), Vec3{});
+    if (direct_light_) direct_light_(range.id, direct);
     for (uint32_t i = 0; i < range.nodes; ++i)
-      irradiance[i] = isLight(range.first_slot + i, "", irradiance[i]) ? max(irradiance[i], {}) : Vec3{};
+      direct[i] = isLight(range.first_slot + i, "", direct[i]) ? max(direct[i], {}) : Vec3{};
+  }
+  if (ask_lamps) {
+    lamps_.irradiance(strip.lamps, lamps);
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const Vec3 m = lamps_.emission(strip.nodes[i]);
+      emission_[range.first_slot + i] = {m.x, m.y, m.z, 0};
+    }
   }
   for (uint32_t i = 0; i < range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
-    Vec3 direct = node.emission + node.albedo * irradiance[i];
-    Vec3 all = direct + node.albedo * skyIrradiance(sky_, node);
-    if (!isLight(range.first_slot + i, ", with its emission and the sky,", all)) direct = all = {};
-    direct_[range.first_slot + i] = {direct.x, direct.y, direct.z, 0};
-    source_[range.first_slot + i] = {all.x, all.y, all.z, 0};
+    Vec3 m = node.albedo * (direct[i] + lamps[i] + skyIrradiance(sky_, node));
+    if (!isLight(range.first_slot + i, ", with lamps and the sky,", m)) m = {};
+    source_[range.first_slot + i] = {m.x, m.y, m.z, 0};
   }
 }
 
@@ -179,9 +196,10 @@ bool Updater::isLight(uint32_t slot, const char* what, Vec3 value) {
 
 Result<void> Updater::relightAll() {
   const LocalMatrix& m = matrix();
-  for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_);
+  for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_, lamps_changed_);
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
-  sky_changed_ = light_changed_ = false;
+  emission_change_ += lamps_changed_;
+  sky_changed_ = light_changed_ = lamps_changed_ = false;
   return solver_.setSource(source_);
 }
 
@@ -192,8 +210,19 @@ Result<Settled> Updater::converge(float tolerance, int max_iterations) {
 }
 
 const LocalMatrix& Updater::matrix() const { return assembler_.matrix(); }
-std::span<const Vec4> Updater::source() const { return source_; }
-std::span<const Vec4> Updater::direct() const { return direct_; }
-Result<void> Updater::radiosity(std::span<Vec4> out) { return solver_.radiosity(out); }
+
+Result<void> Updater::radiosity(std::span<Vec4> out) {
+  if (auto read = solver_.radiosity(out); !read) return read;
+  addEmission(out);
+  return {};
+}
+
+void Updater::addEmission(std::span<Vec4> reflected) const {
+  for (size_t s = 0; s < std::min(reflected.size(), emission_.size()); ++s) {
+    Vec4& b = reflected[s];
+    const Vec4& m = emission_[s];
+    b = {b.x + m.x, b.y + m.y, b.z + m.z, 0};
+  }
+}
 
 }  // namespace ff::runtime

@@ -1,4 +1,4 @@
-// One frame, top to bottom: stream -> cut -> local matrix -> source light -> k iterations of the solver.
+// One frame, top to bottom: stream -> cut -> local matrix -> light that arrives without a bounce -> k iterations of the solver.
 #pragma once
 #include <functional>
 #include <memory>
@@ -6,22 +6,15 @@
 #include <string>
 
 #include "runtime/converge.h"
+#include "runtime/lamps.h"
 #include "runtime/matrix_assembler.h"
+#include "runtime/sky.h"
 #include "runtime/solver.h"
 #include "stream/streamer.h"
 
 namespace ff::runtime {
 
-// A sky of radiance L(w) = l0 + dot(l1, w) per channel, W/(m2 sr). l1[c] is the gradient of channel c.
-struct Sky {
-  Vec3 l0;
-  Vec3 l1[3];
-};
-
-// Irradiance of a node from the sky, W/m2.
-Vec3 skyIrradiance(const Sky& sky, const formats::Node& node);
-
-// Direct irradiance (sun, spot lamps; not the sky, not emission) of the nodes of one tile, W/m2, one per node; for a
+// Direct irradiance (sun, the caller's own lamps; neither the sky nor what surfaces emit) of the nodes of one tile, W/m2, one per node; for a
 // cluster the area-weighted mean over its patches. Called on the frame thread when a tile enters the cut and after
 // Updater::lightChanged(). Null: no direct light. What is no light (sound_light.h) is taken for zero, and counted.
 using DirectLight = std::function<void(formats::TileId, std::span<Vec3> out)>;
@@ -40,9 +33,13 @@ class Updater {
   // All three must outlive the updater.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
           FarLight far_light = FarLight::kPyramid);
-  // These three refuse what is no light (sound_light.h), with its place, and leave all as it was.
+  // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
-  // Radiosity of all that is far, W/m2; FarLight::kConstant only.
+  // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
+  // Costs a pass over the active nodes and their lamps; 1, 1, 1 brings the same bits back.
+  Result<void> setLamp(uint32_t group, Vec3 scale);
+  const Lamps& lamps() const { return lamps_; }
+  // Radiosity of all that is far, but for what it emits, W/m2; FarLight::kConstant only.
   Result<void> setAmbient(Vec3 radiosity);
   void setDirectLight(DirectLight direct);
   void lightChanged();
@@ -58,15 +55,19 @@ class Updater {
 
   const LocalMatrix& matrix() const;  // of the last frame
   const MatrixAssembler& assembler() const { return assembler_; }
-  std::span<const Vec4> source() const;  // M per slot, W/m2
-  std::span<const Vec4> direct() const;  // emission + albedo * direct irradiance (no sky, no bounces), W/m2
-  Result<void> radiosity(std::span<Vec4> out);
+  // Per slot, W/m2, rgb and 0:
+  std::span<const Vec4> source() const { return source_; }      // albedo * what arrives without a bounce: the solver's source
+  std::span<const Vec4> emission() const { return emission_; }  // what the slot's surface emits now
+  uint64_t emissionChange() const { return emission_change_; }  // differs whenever emission() does
+  Result<void> reflected(std::span<Vec4> out) { return solver_.radiosity(out); }  // R, after any number of bounces
+  Result<void> radiosity(std::span<Vec4> out);                  // B = R + emission()
+  void addEmission(std::span<Vec4> reflected) const;            // makes B of R
   // The last number that was taken for zero, as a line; empty: none. Its memory is taken when there is one.
   const std::string& lightFault() const { return light_fault_; }
 
  private:
   Result<void> takeUpChange();
-  void light(uint32_t tile, bool ask_direct_light);
+  void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;
   Result<void> relightAll();
@@ -75,15 +76,18 @@ class Updater {
   stream::Streamer& streamer_;
   Solver& solver_;
   Sky sky_;
+  Lamps lamps_;
   DirectLight direct_light_;
   MatrixAssembler assembler_;
   Vec3 ambient_;
-  std::vector<Vec4> source_, direct_;     // per slot
+  std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
+  std::vector<Vec3> lamp_irradiance_;     // likewise
   std::vector<Vec4> radiosity_, before_;  // per slot; scratch of takeUpChange() and converge()
   std::vector<SlotRange> tiles_before_;
   FrameStats counts_;  // of the matrix
-  bool started_ = false, sky_changed_ = false, light_changed_ = false;
+  uint64_t emission_change_ = 0;
+  bool started_ = false, sky_changed_ = false, light_changed_ = false, lamps_changed_ = false;
   uint32_t light_zeroed_ = 0;  // in this frame
   std::string light_fault_;
 };

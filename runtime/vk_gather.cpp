@@ -22,6 +22,7 @@
 #include "runtime/vk_device.h"
 #include "runtime/vk_pipeline.h"
 #include "shaders/shared.h"
+#include "shine_comp.h"
 
 namespace ff::runtime {
 namespace {
@@ -60,7 +61,9 @@ class VulkanGather final : public VulkanRecorder {
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
   Result<void> record(VkCommandBuffer commands, int iterations) override;
+  Result<void> setEmission(std::span<const Vec4> emission) override;
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
+  VkBuffer reflectedBuffer() const override { return radiosity_[now_].handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
   uint64_t uploadedBytes() const override { return uploaded_bytes_; }
   double lastChangeMs() const override { return last_change_ms_; }
@@ -81,6 +84,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> makeBuffers();
   Result<void> makeSets();
   std::byte* stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies);
+  void stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has);
   Result<void> flush();
   Result<void> stagePages(const LocalMatrix& m, const MatrixChange& change, bool all);
   void listJobs(const MatrixChange& change, bool all);
@@ -103,15 +107,15 @@ class VulkanGather final : public VulkanRecorder {
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, change_, refine_;
-  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, output_, staging_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, change_, refine_, shine_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
   Buffer faults_;   // one word: values repaired in steps
   Buffer changes_;  // of runMeasuredStep(): a float a work group
-  Buffer radiosity_[2];
-  uint32_t now_ = 0;  // radiosity_[now_] is the current one
+  Buffer radiosity_[2];  // reflected
+  uint32_t now_ = 0;     // radiosity_[now_] is the current one
   StorageSets sets_;
   VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
-  VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {};     // [radiosity buffer]
+  VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
   VkQueryPool queries_ = VK_NULL_HANDLE;                       // kQueries a frame in flight
@@ -123,13 +127,13 @@ class VulkanGather final : public VulkanRecorder {
   uint32_t slots_ = 0;
   std::vector<Level> levels_;  // finest first
   // What the next record() does first.
-  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false;
+  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false;
   uint32_t left_ = 0;
   std::vector<shaders::TileJob> job_list_;
   std::vector<shaders::SlotSpan> span_list_;
   std::vector<Jobs> enter_jobs_, resolve_jobs_;
   std::vector<VkBufferCopy> copies_to_packed_, copies_to_pages_, copies_to_jobs_, copies_to_spans_, copies_to_source_,
-      copies_to_radiosity_;
+      copies_to_radiosity_, copies_to_emission_;
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
   std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
   uint64_t uploaded_bytes_ = 0, repaired_ = 0;
@@ -164,7 +168,8 @@ Result<void> VulkanGather::start() {
   levels_.reserve(formats::kMaxLevels);
   copies_to_packed_.reserve(settings_.tiles);
   copies_to_pages_.reserve(settings_.pages);
-  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_radiosity_}) list->reserve(1);
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_radiosity_, &copies_to_emission_})
+    list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
   if (auto r = makeBuffers(); !r) return r;
@@ -177,7 +182,7 @@ Result<void> VulkanGather::start() {
       return vkError("vkCreateQueryPool", r);
   }
   auto cleared = context_->run([&](VkCommandBuffer c) {
-    for (const Buffer* b : {&rows_, &albedo_, &source_, &output_, &radiosity_[0], &radiosity_[1], &kinds_})
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &radiosity_[0], &radiosity_[1], &kinds_})
       vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
     vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
   });
@@ -204,7 +209,8 @@ Result<void> VulkanGather::makePipelines() {
                          {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
                          {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
-                         {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)}};
+                         {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)},
+                         {&shine_, shine_comp, 3, sizeof(shaders::ShinePush)}};
   for (const Wanted& w : list) {
     auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes));
     if (!made) return made.error();
@@ -216,8 +222,8 @@ Result<void> VulkanGather::makePipelines() {
 Result<void> VulkanGather::makeBuffers() {
   const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
   const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
-  // All that one frame can bring: the whole cut, every page, light and radiosity. Each frame's begins aligned.
-  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 2 * slots * sizeof(Vec4);
+  // All that one frame can bring: the whole cut, every page, light, emission and radiosity. Each frame's begins aligned.
+  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 3 * slots * sizeof(Vec4);
   region_bytes_ = (most + sizeof(Vec4) - 1) / sizeof(Vec4) * sizeof(Vec4);
   struct Wanted {
     Buffer* buffer;
@@ -235,6 +241,7 @@ Result<void> VulkanGather::makeBuffers() {
       {&source_, slots * sizeof(Vec4)},
       {&jobs_, jobs},
       {&spans_, spans},
+      {&emission_, slots * sizeof(Vec4)},
       {&output_, slots * sizeof(Vec4)},
       {&faults_, sizeof(uint32_t), MemoryUse::kHost},
       {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
@@ -251,7 +258,7 @@ Result<void> VulkanGather::makeBuffers() {
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 8 + 3 * segments_, 2 + 2 + 12 + 8 + 8 + segments_ * (6 + 16));
+  auto sets = StorageSets::create(*context_, 10 + 3 * segments_, 2 + 2 + 12 + 8 + 8 + 6 + segments_ * (6 + 16));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -268,6 +275,7 @@ Result<void> VulkanGather::makeSets() {
                                   whole(radiosity_[i])});
     refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(albedo_), whole(radiosity_[i])});
     change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
+    shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_)});
   }
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
@@ -293,7 +301,7 @@ std::byte* VulkanGather::stage(const Buffer& to, uint64_t at, uint64_t bytes, st
 
 // A change that was not recorded yet goes to the device now.
 Result<void> VulkanGather::flush() {
-  if (!changed_ && !has_source_ && !has_radiosity_) return {};
+  if (!changed_ && !has_source_ && !has_radiosity_ && !has_emission_) return {};
   Result<void> recorded;
   auto ms = context_->run([&](VkCommandBuffer c) { recorded = record(c, 0); });
   if (!recorded) return recorded;
@@ -304,10 +312,10 @@ Result<void> VulkanGather::flush() {
 // After an update that failed half-way.
 void VulkanGather::forgetStaged() {
   for (auto* list : {&copies_to_packed_, &copies_to_pages_, &copies_to_jobs_, &copies_to_spans_, &copies_to_source_,
-                     &copies_to_radiosity_})
+                     &copies_to_radiosity_, &copies_to_emission_})
     list->clear();
   region_used_ = 0;
-  changed_ = all_ = has_source_ = has_radiosity_ = false;
+  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
 }
 
 Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
@@ -438,14 +446,22 @@ void VulkanGather::listSpans() {
   }
 }
 
+// Twice in a frame: the later counts.
+void VulkanGather::stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has) {
+  FF_CHECK_EQ(values.size(), size_t{slots_});
+  std::byte* const at = has ? staging_.mapped() + copies.back().srcOffset : stage(to, 0, values.size_bytes(), copies);
+  repaired_ += copySound(values, {reinterpret_cast<Vec4*>(at), values.size()});
+  has = true;
+}
+
 Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
-  FF_CHECK_EQ(source.size(), size_t{slots_});
-  auto* to = reinterpret_cast<Vec4*>(has_source_  // twice in a frame: the later counts
-                                         ? staging_.mapped() + copies_to_source_.back().srcOffset
-                                         : stage(source_, 0, source.size_bytes(), copies_to_source_));
-  repaired_ += copySound(source, {to, source.size()});
-  has_source_ = true;
+  stageOnce(source, source_, copies_to_source_, has_source_);
   pace_.forget();
+  return {};
+}
+
+Result<void> VulkanGather::setEmission(std::span<const Vec4> emission) {
+  stageOnce(emission, emission_, copies_to_emission_, has_emission_);
   return {};
 }
 
@@ -471,6 +487,7 @@ void VulkanGather::recordCopies(VkCommandBuffer c) {
   copy(copies_to_jobs_, jobs_);
   copy(copies_to_spans_, spans_);
   copy(copies_to_source_, source_);
+  copy(copies_to_emission_, emission_);
   if (all_) vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
 }
 
@@ -555,16 +572,16 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
     copies_to_radiosity_.clear();
     separate(c);
   }
-  changed_ = all_ = has_source_ = has_radiosity_ = false;
+  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
   left_ = 0;
   stamp(1);
   for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0, omega());
   if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
-  const VkBufferCopy out{0, 0, slots_ * sizeof(Vec4)};
-  vkCmdCopyBuffer(c, radiosity_[now_].handle(), output_.handle(), 1, &out);
-  barrier(c, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+  const shaders::ShinePush push{slots_};
+  shine_.dispatch(c, shine_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
+  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
           VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
   barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
           VK_ACCESS_HOST_READ_BIT);  // faults_
@@ -629,7 +646,7 @@ Result<void> VulkanGather::approach(int k) {
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {
   FF_CHECK_EQ(out.size(), size_t{slots_});
   if (auto r = flush(); !r) return r;
-  return download(*context_, output_, 0, std::as_writable_bytes(out));
+  return download(*context_, radiosity_[now_], 0, std::as_writable_bytes(out));
 }
 
 Result<std::vector<uint32_t>> VulkanGather::row(uint32_t slot) {

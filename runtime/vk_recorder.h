@@ -21,8 +21,14 @@ class VulkanRecorder : public Solver {
   // Records uploads, resolving and k iterations, outside of a render pass. What it writes is visible to all later commands.
   // A second update() before a record() waits for the device to take up the first; so does radiosity().
   virtual Result<void> record(VkCommandBuffer commands, int iterations) = 0;
-  // Radiosity per slot after the last recorded iteration: a vec4 each (w is 0), W/m2. Always the same buffer.
+  // What slots emit, a vec4 each, W/m2: from the next record() on it is added to what radiosityBuffer() holds, and to nothing
+  // else. After an update() it has to be set again.
+  virtual Result<void> setEmission(std::span<const Vec4> emission) = 0;
+  // Radiosity per slot after the last recorded iteration, reflected and emitted: a vec4 each (w is 0), W/m2. Always the same
+  // buffer.
   virtual VkBuffer radiosityBuffer() const = 0;
+  // The same without what slots emit, as the last record() leaves it; another buffer after the next.
+  virtual VkBuffer reflectedBuffer() const = 0;
   // M per slot, a vec4 each: what setSource() fills. The caller's shaders may write it instead, between records.
   virtual VkBuffer sourceBuffer() const = 0;
   virtual uint64_t uploadedBytes() const = 0;  // since the start

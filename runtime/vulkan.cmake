@@ -2,7 +2,7 @@
 ff_room(ff_runtime_vulkan dense/vk_baseline.cpp dense/vk_bounce_steps.cpp dense/vk_dense_step.cpp dense/vk_multibounce.cpp dense/vk_plain_local.cpp dense/vk_seed.cpp gather_layout.cpp
         vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_pipeline.cpp)
 target_link_libraries(ff_runtime_vulkan PUBLIC ff_runtime PRIVATE Vulkan::Vulkan)
-foreach(step gather gather_enter gather_kinds gather_change gather_leave refine resolve)
+foreach(step gather gather_enter gather_kinds gather_change gather_leave refine resolve shine)
   ff_embed_spirv(ff_runtime_vulkan shaders/${step}.comp NAME ${step}_comp)
 endforeach()
 foreach(step tall wide scatter corner solve apply fold relight pending changed residual correct)

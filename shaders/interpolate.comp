@@ -1,5 +1,5 @@
-// Irradiance of the drawing vertices from the patches around them: slot by slot for what came through the surfaces (a
-// patch outside the cut takes its nearest active ancestor's), patch by patch for the sky.
+// Irradiance of the drawing vertices from the patches around them: slot by slot for what surfaces reflect (a patch
+// outside the cut takes its nearest active ancestor's), patch by patch for lamps and sky.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #include "shared.h"
@@ -8,7 +8,7 @@ layout(local_size_x = kInterpolateGroup) in;
 layout(push_constant) uniform Push { InterpolatePush push; };
 layout(std430, binding = 0) readonly buffer Tables { Interpolation tables[]; };  // from vertex push.first
 layout(std430, binding = 1) readonly buffer PatchSlot { uint patch_slot[]; };
-layout(std430, binding = 2) readonly buffer Slots { Light slots[]; };
+layout(std430, binding = 2) readonly buffer Slots { vec4 slots[]; };
 layout(std430, binding = 3) readonly buffer Looks { PatchLook looks[]; };
 layout(std430, binding = 4) buffer Vertices { Light vertices[]; };
 
@@ -19,9 +19,8 @@ void main() {
     const float w = tables[gl_GlobalInvocationID.x].weights[i];
     if (w == 0) continue;
     const uint p = tables[gl_GlobalInvocationID.x].patches[i];
-    const uint s = patch_slot[p];
-    sum.direct += w * (slots[s].direct + looks[p].sky);
-    sum.bounced += w * (slots[s].bounced + looks[p].sky);
+    sum.direct += w * looks[p].direct;
+    sum.bounced += w * (looks[p].direct + slots[patch_slot[p]]);
   }
   vertices[push.first + gl_GlobalInvocationID.x] = sum;
 }

@@ -76,6 +76,9 @@ struct SlotSpan {
   uint first_slot;
   uint slots;
 };
+struct ShinePush {
+  uint slots;
+};
 struct RefinePush {
   uint first;   // span
   uint groups;  // work groups a span
@@ -160,15 +163,15 @@ struct Interpolation {
   uint patches[kInterpolated];
   float weights[kInterpolated];
 };
-// Irradiance, W/m2, of a slot or a vertex. The sun is not in it: it is found per pixel.
+// Irradiance, W/m2, of a vertex. The sun is not in it: it is found per pixel.
 struct Light {
-  vec4 direct;   // straight from emitting surfaces (and, at a vertex, from the sky)
-  vec4 bounced;  // from all surfaces, after any number of bounces (and, at a vertex, from the sky)
+  vec4 direct;   // straight from lamps and sky
+  vec4 bounced;  // the same, and from all surfaces after any number of bounces
 };
 struct PatchLook {
   vec4 albedo;
   vec4 emission;  // W/m2
-  vec4 sky;       // irradiance from the sky, W/m2
+  vec4 direct;    // irradiance from lamps and sky, W/m2
 };
 struct InterpolatePush {
   uint first;  // vertex
@@ -190,6 +193,7 @@ struct Frame {
   vec4 sun_irradiance;       // on a surface that faces it, W/m2; all 0: no sun
   vec4 sky_l0;               // radiance
   vec4 sky_l1[3];            // gradient of each channel
+  vec4 sky_l2[5];            // quadratic parts: runtime/sky.h
   vec4 eye;
   vec4 look_x, look_y, look_z;  // direction through the picture's centre (z) and half-extents (x right, y down)
   vec4 size;                 // x, y: pixels; z: shadow map texels

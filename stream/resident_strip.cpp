@@ -28,6 +28,7 @@ Result<ResidentStrip> pack(formats::Strip&& strip) {
   packed.id = strip.id;
   packed.first_node = strip.first_node;
   packed.nodes = std::move(strip.nodes);
+  packed.lamps = std::move(strip.lamps);
   const size_t rows = packed.nodes.size();
   packed.partners.reserve(strip.blocks.size());
   packed.run_start.assign(rows + 1, 0);
@@ -81,7 +82,8 @@ Result<ResidentStrip> pack(formats::Strip&& strip) {
 uint64_t residentBytes(const ResidentStrip& strip) {
   return sizeof(ResidentStrip) + strip.nodes.size() * sizeof(formats::Node) + strip.partners.size() * 4 +
          strip.run_start.size() * 4 + strip.row_start.size() * 4 + strip.row_partners.size() * 8 +
-         strip.runs.size() * sizeof(ResidentStrip::Run) + strip.words.size() * 2;
+         strip.runs.size() * sizeof(ResidentStrip::Run) + strip.words.size() * 2 +
+         strip.lamps.size() * sizeof(formats::LampLight);
 }
 
 }  // namespace ff::stream

@@ -1,4 +1,4 @@
-// A strip as it stays in memory: its nodes, and its rows in 16-bit words, grouped by row. A third smaller than the
+// A strip as it stays in memory: its nodes, their lamps' light, and its rows in 16-bit words, grouped by row. A third smaller than the
 // arrays of formats::Strip, in the order in which a local matrix is put together, and what crosses the bus to a GPU.
 #pragma once
 #include <cstdint>
@@ -26,6 +26,7 @@ struct ResidentStrip {
   std::vector<uint16_t> words;
   std::vector<uint32_t> run_start, row_start;  // nodes + 1 each
   std::vector<uint64_t> row_partners;          // per node: bit p % 64 is set for each partner p of its runs
+  std::vector<formats::LampLight> lamps;       // what the nodes get of the lamps, by row
 };
 
 using StripPtr = std::shared_ptr<const ResidentStrip>;

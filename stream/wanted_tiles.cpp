@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "formats/strip_codec.h"
+
 namespace ff::stream {
 
 using formats::TileId;
@@ -11,8 +13,11 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   const uint64_t partners = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
   const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (world.info().quanta / 255 + 1);
+  // Lamps' light is among what is left of the payload once nodes and entries are taken off.
+  const formats::StripLayout least{info.nodes, 0, info.entries};
+  const uint64_t lamps = (info.raw_bytes - std::min<uint64_t>(info.raw_bytes, least.escapes())) / formats::StripLayout::kLampBytes;
   return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * 4 + 16 * (uint64_t{info.nodes} + 1) +
-         info.entries * sizeof(ResidentStrip::Run) + words * 2;
+         info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }
 
 std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, TileId id) {

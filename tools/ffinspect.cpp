@@ -68,7 +68,7 @@ int main(int argc, char** argv) {
   locate->add_option("z", a.point.z, "m")->required();
   auto* exported = add("export", "rows to mtx or npy, patches to npy or ply, geometry to ply",
                        [&](const auto& w) { return inspectExport(w, a.request, a.out); });
-  exported->add_option("--what", a.request.what)->required()->check(CLI::IsMember({"rows", "patches", "geometry"}));
+  exported->add_option("--what", a.request.what)->required()->check(CLI::IsMember({"rows", "lamps", "patches", "geometry"}));
   exported->add_option("--level", a.request.level, "0 = patches")->capture_default_str();
   exported->add_option("--format", a.request.format)->required()->check(CLI::IsMember({"mtx", "npy", "ply"}));
   exported->add_option("-o,--output", a.request.path, "file to write")->required();

@@ -28,7 +28,7 @@ Result<void> inspectPair(const formats::World& world, uint32_t level, uint32_t i
 Result<void> inspectLocate(const formats::World& world, Vec3 point, const InspectOutput& out);
 
 struct ExportRequest {
-  std::string what;    // rows, patches, geometry
+  std::string what;    // rows, lamps, patches, geometry
   std::string format;  // mtx, npy, ply
   uint32_t level = 0;
   std::string path;

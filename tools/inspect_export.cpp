@@ -95,14 +95,28 @@ Result<void> rowsNpy(const World& world, uint32_t level, OutputFile& file) {
 Result<void> patchesNpy(const World& world, uint32_t level, OutputFile& file) {
   file.write(npyHeader("('area_m2', '<f4'), ('centroid', '<f4', (3,)), ('normal', '<f4', (3,)), ('albedo', '<f4', (3,)), "
                        "('emission', '<f4', (3,)), ('sky_direction', '<f4', (3,)), ('parent', '<u4'), ('quanta', '<u4'), "
-                       "('sky', '<u4'), ('absorbed', '<u4')",
+                       "('sky', '<u4'), ('absorbed', '<u4'), ('row_total', '<f4'), ('sky_fraction', '<f4'), "
+                       "('sky_quadratic', '<f4', (5,)), ('lamp_group', '<u4')",
                        world.levels()[level].nodes));
   return eachStrip(world, level, [&](const Strip& s) {
     ByteWriter w;
     for (const Node& n : s.nodes) {
       w.f32(n.area_m2), w.vec3(n.centroid), w.vec3(n.normal), w.vec3(n.albedo), w.vec3(n.emission), w.vec3(n.sky_direction);
-      w.u32(n.parent), w.u32(n.quanta), w.u32(n.sky), w.u32(n.absorbed);
+      w.u32(n.parent), w.u32(n.quanta), w.u32(n.sky), w.u32(n.absorbed), w.f32(n.row_total), w.f32(n.sky_fraction);
+      for (const float mean : n.sky_quadratic) w.f32(mean);
+      w.u32(n.lamp_group);
     }
+    file.write(w.data());
+  });
+}
+
+Result<void> lampsNpy(const World& world, uint32_t level, OutputFile& file) {
+  uint64_t lamps = 0;  // a first pass, because the header wants their number
+  if (auto ok = eachStrip(world, level, [&](const Strip& s) { lamps += s.lamps.size(); }); !ok) return ok;
+  file.write(npyHeader("('node', '<u4'), ('group', '<u4'), ('weight', '<f4', (3,))", lamps));
+  return eachStrip(world, level, [&](const Strip& s) {
+    ByteWriter w;
+    for (const LampLight& lamp : s.lamps) w.u32(s.first_node + lamp.row), w.u32(lamp.group), w.vec3(lamp.weight);
     file.write(w.data());
   });
 }
@@ -169,12 +183,13 @@ Result<void> inspectExport(const World& world, const ExportRequest& request, con
   const uint32_t level = request.level;
   if (kind == "rows as mtx") write = [&](OutputFile& f) { return rowsMtx(world, level, f); };
   if (kind == "rows as npy") write = [&](OutputFile& f) { return rowsNpy(world, level, f); };
+  if (kind == "lamps as npy") write = [&](OutputFile& f) { return lampsNpy(world, level, f); };
   if (kind == "patches as npy") write = [&](OutputFile& f) { return patchesNpy(world, level, f); };
   if (kind == "patches as ply") write = [&](OutputFile& f) { return patchesPly(world, level, f); };
   if (kind == "geometry as ply") write = [&](OutputFile& f) { return geometryPly(world, f); };
   if (!write)
     return Error{ErrorCode::kUsage, "", "export", "cannot write " + kind,
-                 "rows go to mtx or npy, patches to npy or ply, geometry to ply"};
+                 "rows go to mtx or npy, lamps to npy, patches to npy or ply, geometry to ply"};
   OutputFile file(request.path);
   const auto written = write(file);
   const auto closed = file.close();

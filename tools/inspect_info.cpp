@@ -65,6 +65,19 @@ void printLights(std::span<const Light> lights, std::FILE* to) {
   }
 }
 
+json lampGroupsJson(std::span<const LampGroup> groups) {
+  json list = json::array();
+  for (const LampGroup& g : groups)
+    list.push_back({{"name", g.name}, {"emission", toJson(g.emission)}, {"area_m2", g.area_m2}, {"patches", g.patches}});
+  return list;
+}
+
+void printLampGroups(std::span<const LampGroup> groups, std::FILE* to) {
+  for (size_t g = 0; g < groups.size(); ++g)
+    fmt::print(to, "lamp group   {} \"{}\": {:g} {:g} {:g} W/m2, {:.4g} m2 in {} patches\n", g, groups[g].name, groups[g].emission.x,
+               groups[g].emission.y, groups[g].emission.z, groups[g].area_m2, groups[g].patches);
+}
+
 void printLevels(const World& world, std::FILE* to) {
   fmt::print(to, "{:>5} {:>10} {:>7} {:>12} {:>8} {:>13} {:>10} {:>8}\n", "level", "nodes", "tiles", "entries", "per row",
              "stored_bytes", "per node", "cell_m");
@@ -105,6 +118,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"absorbed_fraction", info.absorbed_fraction},
                     {"pyramid_over_level0", pyramidRatio(world)},
                     {"spatial_grid_bytes", world.spatialGrid().size()},
+                    {"lamp_groups", lampGroupsJson(info.lamp_groups)},
                     {"lights", lights},
                     {"levels", levels},
                     {"shards", shards}}
@@ -121,6 +135,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
              info.seed);
   fmt::print(out.to, "measured     absorbed {:.4f} %, row totals within {:.2f} %\n", 100 * info.absorbed_fraction,
              100 * static_cast<double>(info.row_total_deviation));
+  printLampGroups(info.lamp_groups, out.to);
   printLights(info.lights, out.to);
   fmt::print(out.to, "files        {} shards, rows {} bytes, geometry {} bytes, spatial grid {} bytes in memory\n\n",
              world.shards().size(), shardBytes(world, false), shardBytes(world, true), world.spatialGrid().size());
@@ -149,7 +164,7 @@ Result<void> inspectStats(const World& world, const InspectOutput& out) {
       for (const Node& n : strip->nodes) {
         const double a = static_cast<double>(n.area_m2), q = n.quanta > 0 ? n.quanta : 1;
         s.area += a;
-        s.sky += a * n.sky / q;
+        s.sky += a * static_cast<double>(n.sky_fraction);
         s.absorbed += a * n.absorbed / q;
       }
     }

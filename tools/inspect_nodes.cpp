@@ -1,4 +1,5 @@
 #include <fmt/core.h>
+#include <fmt/ranges.h>
 #include <nanovdb/NanoVDB.h>
 
 #include <algorithm>
@@ -25,7 +26,16 @@ json toJson(const Node& n) {
           {"quanta", n.quanta},
           {"sky", n.sky},
           {"absorbed", n.absorbed},
-          {"sky_direction", toJson(n.sky_direction)}};
+          {"row_total", n.row_total},
+          {"sky_fraction", n.sky_fraction},
+          {"sky_direction", toJson(n.sky_direction)},
+          {"sky_quadratic", n.sky_quadratic},
+          {"lamp_group", n.lamp_group == kNoLampGroup ? json() : json(n.lamp_group)}};
+}
+
+std::string groupName(const World& world, uint16_t group) {
+  const auto& groups = world.info().lamp_groups;
+  return group < groups.size() ? groups[group].name : "?";
 }
 
 std::string hexText(std::span<const uint8_t> bytes) {
@@ -72,16 +82,35 @@ std::vector<RowEntry> rowEntries(const World& world, const Strip& strip, uint32_
 
 void printVec(std::FILE* to, const char* name, Vec3 v) { fmt::print(to, "{:<14}{:.6g} {:.6g} {:.6g}\n", name, v.x, v.y, v.z); }
 
-void printNode(std::FILE* to, const Node& n) {
+// Of one row of a strip.
+std::vector<LampLight> lampsOf(const Strip& strip, uint32_t row) {
+  std::vector<LampLight> lamps;
+  for (const LampLight& lamp : strip.lamps)
+    if (lamp.row == row) lamps.push_back(lamp);
+  return lamps;
+}
+
+json lampsJson(const World& world, std::span<const LampLight> lamps) {
+  json list = json::array();
+  for (const LampLight& lamp : lamps)
+    list.push_back({{"group", lamp.group}, {"name", groupName(world, lamp.group)}, {"weight", toJson(lamp.weight)}});
+  return list;
+}
+
+void printNode(std::FILE* to, const World& world, const Node& n) {
   fmt::print(to, "{:<14}{:.6g}\n", "area_m2", n.area_m2);
   printVec(to, "centroid", n.centroid);
   printVec(to, "normal", n.normal);
   printVec(to, "albedo", n.albedo);
   printVec(to, "emission", n.emission);
+  if (n.lamp_group != kNoLampGroup) fmt::print(to, "{:<14}{} \"{}\"\n", "lamp_group", n.lamp_group, groupName(world, n.lamp_group));
   if (n.parent != kNoParent) fmt::print(to, "{:<14}{}\n", "parent", n.parent);
   fmt::print(to, "{:<14}{} = sky {} + absorbed {} + entries {}\n", "quanta", n.quanta, n.sky, n.absorbed,
              n.quanta - n.sky - n.absorbed);
+  fmt::print(to, "{:<14}{:.6g}\n", "row_total", n.row_total);
+  fmt::print(to, "{:<14}{:.6g}\n", "sky_fraction", n.sky_fraction);
   printVec(to, "sky_direction", n.sky_direction);
+  fmt::print(to, "{:<14}{:.3g}\n", "sky_quadratic", fmt::join(n.sky_quadratic, " "));
 }
 
 }  // namespace
@@ -98,6 +127,7 @@ Result<void> inspectRow(const World& world, uint32_t level, uint32_t node, const
     j["node"] = node;
     j["tile"] = strip->id.tile;
     if (level > 0) j["children"] = {world.children(level, node).first, world.children(level, node).second};
+    j["lamps"] = lampsJson(world, lampsOf(*strip, index));
     j["entries"] = json::array();
     for (const RowEntry& e : entries)
       j["entries"].push_back({{"column", e.column}, {"count", e.count}, {"form_factor", static_cast<double>(e.count) / n.quanta}});
@@ -105,11 +135,14 @@ Result<void> inspectRow(const World& world, uint32_t level, uint32_t node, const
     return {};
   }
   fmt::print(out.to, "node {} of level {}, in tile {}\n", node, level, strip->id.tile);
-  printNode(out.to, n);
+  printNode(out.to, world, n);
   if (level > 0) {
     const auto [first, last] = world.children(level, node);
     fmt::print(out.to, "{:<14}{} to {} of level {}\n", "children", first, last - 1, level - 1);
   }
+  for (const LampLight& lamp : lampsOf(*strip, index))
+    fmt::print(out.to, "{:<14}{} \"{}\": {:.6g} {:.6g} {:.6g} of its emission arrives\n", "lamp", lamp.group,
+               groupName(world, lamp.group), lamp.weight.x, lamp.weight.y, lamp.weight.z);
   fmt::print(out.to, "\n{:>10} {:>6} {:>12} {:>8}\n", "column", "count", "form factor", "tile");
   for (const RowEntry& e : entries)
     fmt::print(out.to, "{:>10} {:>6} {:>12.6f} {:>8}\n", e.column, e.count, static_cast<double>(e.count) / n.quanta,
@@ -128,7 +161,10 @@ Result<void> inspectTile(const World& world, TileId id, const InspectOutput& out
   if (!strip) return strip.error();
   if (out.json) {
     json nodes = json::array(), blocks = json::array();
-    for (const Node& n : strip->nodes) nodes.push_back(toJson(n));
+    for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
+      nodes.push_back(toJson(strip->nodes[i]));
+      nodes.back()["lamps"] = lampsJson(world, lampsOf(*strip, i));
+    }
     for (const Block& b : strip->blocks) blocks.push_back({{"partner_tile", b.partner_tile}, {"entries", b.entries}});
     fmt::print(out.to, "{}\n",
                json{{"level", id.level},
@@ -151,14 +187,15 @@ Result<void> inspectTile(const World& world, TileId id, const InspectOutput& out
              info.entries, strip->blocks.size());
   printVec(out.to, "bounds lo", info.bounds.lo);
   printVec(out.to, "bounds hi", info.bounds.hi);
-  fmt::print(out.to, "\n{:>9} {:>10} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8}\n", "node", "area_m2", "centroid", "normal",
-             "albedo", "quanta", "sky", "absorbed");
+  fmt::print(out.to, "\n{:>9} {:>10} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8} {:>6} {:>6}\n", "node", "area_m2", "centroid", "normal",
+             "albedo", "quanta", "sky", "absorbed", "sky %", "total", "lamps");
   for (size_t i = 0; i < strip->nodes.size(); ++i) {
     const Node& n = strip->nodes[i];
-    fmt::print(out.to, "{:>9} {:>10.4g} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8}\n", strip->first_node + i, n.area_m2,
+    fmt::print(out.to, "{:>9} {:>10.4g} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8.3f} {:>6.3f} {:>6}\n", strip->first_node + i, n.area_m2,
                fmt::format("{:.2f} {:.2f} {:.2f}", n.centroid.x, n.centroid.y, n.centroid.z),
                fmt::format("{:.2f} {:.2f} {:.2f}", n.normal.x, n.normal.y, n.normal.z),
-               fmt::format("{:.3f} {:.3f} {:.3f}", n.albedo.x, n.albedo.y, n.albedo.z), n.quanta, n.sky, n.absorbed);
+               fmt::format("{:.3f} {:.3f} {:.3f}", n.albedo.x, n.albedo.y, n.albedo.z), n.quanta, n.sky, n.absorbed,
+               100 * n.sky_fraction, n.row_total, lampsOf(*strip, static_cast<uint32_t>(i)).size());
   }
   return {};
 }
@@ -175,8 +212,10 @@ Result<void> inspectPair(const World& world, uint32_t level, uint32_t i, uint32_
   };
   const Node &a = strip_i->nodes[i - strip_i->first_node], &b = strip_j->nodes[j - strip_j->first_node];
   const uint32_t n_ij = countOf(*strip_i, i, j), n_ji = countOf(*strip_j, j, i);
-  const PairCheck p = checkPair(level, i, j, a.area_m2, a.quanta, n_ij, b.area_m2, b.quanta, n_ji,
-                                static_cast<double>(world.info().row_total_deviation));
+  const auto endOf = [](const Node& n, uint32_t count) {
+    return PairEnd{static_cast<double>(n.area_m2), static_cast<double>(n.row_total), n.quanta, count};
+  };
+  const PairCheck p = checkPair(level, i, j, endOf(a, n_ij), endOf(b, n_ji));
   const double f_ij = a.quanta > 0 ? static_cast<double>(n_ij) / a.quanta : 0;
   const double f_ji = b.quanta > 0 ? static_cast<double>(n_ji) / b.quanta : 0;
   const double distance = static_cast<double>(length(a.centroid - b.centroid));
@@ -254,7 +293,7 @@ Result<void> inspectLocate(const World& world, Vec3 point, const InspectOutput& 
   }
   fmt::print(out.to, "cell {} {} {}{}\n", cell[0], cell[1], cell[2], value > 0 ? "" : " (holds no patches)");
   fmt::print(out.to, "nearest patch {} in tile 0:{}, centroid {:.4g} m away\n", best, world.tileOf(0, best), best_distance);
-  printNode(out.to, best_node);
+  printNode(out.to, world, best_node);
   return {};
 }
 

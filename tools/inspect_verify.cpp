@@ -69,6 +69,8 @@ Result<void> inspectVerify(const formats::World& world, int threads, bool quiet,
                               {"worst_pairs", worst},
                               {"worst_area_difference", check.worst_area},
                               {"worst_emission_difference", check.worst_emission},
+                              {"worst_lamp_difference", check.worst_lamps},
+                              {"worst_sky_of_allowed", check.worst_sky},
                               {"row_total_deviation", world.info().row_total_deviation},
                               {"corrupt", toJson(check.corrupt)},
                               {"unphysical", toJson(check.unphysical)}}
@@ -79,8 +81,9 @@ Result<void> inspectVerify(const formats::World& world, int threads, bool quiet,
     for (const PairCheck& p : check.worst_pairs)
       fmt::print(out.to, "reciprocity  level {}: worst pair {} {}: {:.6g} and {:.6g} m2, {:.0f} % of what sampling allows\n",
                  p.level, p.i, p.j, p.x_ij, p.x_ji, 100 * p.ratio());
-    fmt::print(out.to, "pyramid      areas within {:.1e}, emission within {:.1e} of their children's sums\n",
-               check.worst_area, check.worst_emission);
+    fmt::print(out.to, "sky          counts within {:.0f} % of what sampling allows\n", 100 * check.worst_sky);
+    fmt::print(out.to, "pyramid      areas within {:.1e}, emission within {:.1e}, lamps' light within {:.1e} of their children's sums\n",
+               check.worst_area, check.worst_emission, check.worst_lamps);
     if (check.geometry_tiles > 0) fmt::print(out.to, "geometry     {} tiles read\n", check.geometry_tiles);
     printFindings(out.to, check.corrupt);
     printFindings(out.to, check.unphysical);

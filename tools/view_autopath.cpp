@@ -219,7 +219,7 @@ Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye) {
       seen.push_back(patch);
       const formats::Node& n = scene.patches[patch];
       const Vec3 emitted = n.emission;
-      const double open = n.quanta > 0 ? static_cast<double>(n.sky) / n.quanta : 0;
+      const double open = static_cast<double>(n.sky_fraction);
       p.light += solid * (static_cast<double>(std::max({emitted.x, emitted.y, emitted.z})) + 3 * open);
     }
   std::sort(seen.begin(), seen.end());
@@ -292,7 +292,7 @@ float openness(const ViewScene& scene) {
   double sky = 0, area = 0;
   for (const formats::Node& n : scene.patches) {
     if (n.quanta == 0 || seesBacks(n)) continue;
-    sky += static_cast<double>(n.area_m2) * n.sky / n.quanta;
+    sky += static_cast<double>(n.area_m2) * static_cast<double>(n.sky_fraction);
     area += static_cast<double>(n.area_m2);
   }
   return area > 0 ? static_cast<float>(sky / area) : 0.0f;

@@ -22,47 +22,29 @@ std::vector<uint32_t> patchSlots(const formats::World& world, const LocalMatrix&
   return slots;
 }
 
-std::vector<shaders::Light> gatherLight(const LocalMatrix& m, std::span<const Vec4> emission,
-                                        std::span<const Vec4> radiosity) {
-  std::vector<shaders::Light> light(m.slots());
+std::vector<shaders::vec4> gatherLight(const LocalMatrix& m, std::span<const Vec4> reflected) {
+  std::vector<shaders::vec4> light(m.slots());
   for (uint32_t s = 0; s < m.slots(); ++s) {
-    Vec3 direct, bounced;
+    Vec3 sum;
     for (const uint32_t entry : m.row(s)) {
-      const float count = static_cast<float>(entry & 0xffff);
-      const Vec4 &d = emission[entry >> 16], &b = radiosity[entry >> 16];
-      direct += count * Vec3{d.x, d.y, d.z};
-      bounced += count * Vec3{b.x, b.y, b.z};
+      const Vec4& r = reflected[entry >> 16];
+      sum += static_cast<float>(entry & 0xffff) * Vec3{r.x, r.y, r.z};
     }
-    const float f = m.row_scale[s];
-    light[s] = {{f * direct.x, f * direct.y, f * direct.z, 0}, {f * bounced.x, f * bounced.y, f * bounced.z, 0}};
+    sum *= m.row_scale[s];
+    light[s] = {sum.x, sum.y, sum.z, 0};
   }
   for (const LocalMatrix::Refined& r : m.refined) {
-    Vec3 direct, bounced;
+    Vec3 sum;
     float area = 0;
     for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) {
-      const shaders::Light& l = light[c];
-      direct += m.area_m2[c] * Vec3{l.direct.x, l.direct.y, l.direct.z};
-      bounced += m.area_m2[c] * Vec3{l.bounced.x, l.bounced.y, l.bounced.z};
+      sum += m.area_m2[c] * Vec3{light[c].x, light[c].y, light[c].z};
       area += m.area_m2[c];
     }
     if (!(area > 0)) continue;
-    direct = direct / area;
-    bounced = bounced / area;
-    light[r.slot] = {{direct.x, direct.y, direct.z, 0}, {bounced.x, bounced.y, bounced.z, 0}};
+    sum = sum / area;
+    light[r.slot] = {sum.x, sum.y, sum.z, 0};
   }
   return light;
-}
-
-std::vector<Vec4> slotEmission(const LocalMatrix& matrix, std::span<const stream::StripPtr> active) {
-  std::vector<Vec4> emission(matrix.slots());
-  for (const stream::StripPtr& strip : active)
-    for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
-      const uint32_t slot = matrix.slotOf(strip->id.level, strip->first_node + i);
-      if (slot == kNoSlot) continue;
-      const Vec3 m = strip->nodes[i].emission;
-      emission[slot] = {m.x, m.y, m.z, 0};
-    }
-  return emission;
 }
 
 std::vector<double> patchSource(const ViewScene& scene, std::span<const float> sun_exposure, const Sun& sun,
@@ -71,23 +53,20 @@ std::vector<double> patchSource(const ViewScene& scene, std::span<const float> s
   source.reserve(3 * scene.patches.size());
   for (size_t p = 0; p < scene.patches.size(); ++p) {
     const formats::Node& n = scene.patches[p];
-    const Vec3 m = n.emission + n.albedo * (sun_exposure[p] * sun.irradiance + skyIrradiance(n, sky));
+    const Vec3 m = n.albedo * (sun_exposure[p] * sun.irradiance + scene.lamps[p] + skyIrradiance(sky, n));
     for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(m[c]));
   }
   return source;
 }
 
 Comparison compare(const ViewScene& scene, const LocalMatrix& matrix, std::span<const uint32_t> patch_slot,
-                   std::span<const shaders::Light> light, std::span<const double> full, std::span<const double> source,
+                   std::span<const shaders::vec4> light, std::span<const double> full, std::span<const double> source,
                    Vec3 eye, float inner_m) {
   double mean = 0, area = 0;
   for (size_t p = 0; p < scene.patches.size(); ++p) {
     const formats::Node& n = scene.patches[p];
     double square = 0;
-    for (int c = 0; c < 3; ++c) {
-      const double r = full[3 * p + static_cast<size_t>(c)] - static_cast<double>(n.emission[c]);
-      square += r * r;
-    }
+    for (size_t c = 0; c < 3; ++c) square += full[3 * p + c] * full[3 * p + c];
     mean += static_cast<double>(n.area_m2) * std::sqrt(square);
     area += static_cast<double>(n.area_m2);
   }
@@ -98,12 +77,12 @@ Comparison compare(const ViewScene& scene, const LocalMatrix& matrix, std::span<
   double error = 0, reflected = 0, bounced = 0;
   for (size_t p = 0; p < scene.patches.size(); ++p) {
     const formats::Node& n = scene.patches[p];
-    const shaders::vec4 e = light[patch_slot[p]].bounced;
+    const shaders::vec4 e = light[patch_slot[p]];
     const float streamed[3] = {n.albedo.x * e.x, n.albedo.y * e.y, n.albedo.z * e.z};
     double square = 0, bounce_square = 0, reflected_square = 0;
     for (int c = 0; c < 3; ++c) {
       const size_t i = 3 * p + static_cast<size_t>(c);
-      const double want = full[i] - source[i], all = full[i] - static_cast<double>(n.emission[c]);
+      const double want = full[i] - source[i], all = full[i];
       const double d = static_cast<double>(streamed[c]) - want;
       square += d * d;
       bounce_square += want * want;

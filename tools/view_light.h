@@ -15,15 +15,11 @@ namespace ff::view {
 // Slot of every patch, or of its nearest active ancestor.
 std::vector<uint32_t> patchSlots(const formats::World& world, const runtime::LocalMatrix& matrix);
 
-// Irradiance of every slot from the surfaces: from their emission alone, and from all that leaves them. Refined slots get
-// the area-weighted means of their children. emission, radiosity: per slot, W/m2.
-std::vector<shaders::Light> gatherLight(const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> emission,
-                                        std::span<const runtime::Vec4> radiosity);
+// Irradiance of every slot from what surfaces reflect. Refined slots get the area-weighted means of their children.
+// reflected: per slot, W/m2.
+std::vector<shaders::vec4> gatherLight(const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> reflected);
 
-// Emission of every slot. active: the strips that the matrix was built from.
-std::vector<runtime::Vec4> slotEmission(const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active);
-
-// M per patch, 3 each: emission + albedo * (sun + sky).
+// M per patch, 3 each: albedo * (sun + lamps + sky).
 std::vector<double> patchSource(const ViewScene& scene, std::span<const float> sun_exposure, const Sun& sun,
                                 const runtime::Sky& sky);
 
@@ -34,9 +30,9 @@ struct Comparison {
   double bounced_error = 0;        // likewise of what bounces alone put there
   uint32_t patches_compared = 0;
 };
-// full: radiosity of the full solve, source: its M; both 3 per patch.
+// full: what is reflected in the full solve, source: its M; both 3 per patch. light: gatherLight().
 Comparison compare(const ViewScene& scene, const runtime::LocalMatrix& matrix, std::span<const uint32_t> patch_slot,
-                   std::span<const shaders::Light> light, std::span<const double> full, std::span<const double> source,
+                   std::span<const shaders::vec4> light, std::span<const double> full, std::span<const double> source,
                    Vec3 eye, float inner_m);
 
 }  // namespace ff::view

@@ -49,15 +49,6 @@ Error tooLarge() {
 
 }  // namespace
 
-Vec3 skyIrradiance(const formats::Node& node, const runtime::Sky& sky) {
-  if (node.quanta == 0) return {};
-  constexpr float kPi = 3.14159265f;
-  const float seen = kPi * static_cast<float>(node.sky) / static_cast<float>(node.quanta);
-  Vec3 e;
-  for (int c = 0; c < 3; ++c) e[c] = seen * (sky.l0[c] + dot(sky.l1[c], node.sky_direction));
-  return e;
-}
-
 Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, const Weld& weld,
                                   const DrawGeometry& geometry, const runtime::Sky& sky, VkExtent2D extent) {
   Renderer r;
@@ -112,8 +103,10 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
 
   std::vector<shaders::PatchLook> looks;
   looks.reserve(scene.patches.size());
-  for (const formats::Node& n : scene.patches)
-    looks.push_back({vec(n.albedo), vec(n.emission), vec(skyIrradiance(n, sky))});
+  for (size_t p = 0; p < scene.patches.size(); ++p) {
+    const formats::Node& n = scene.patches[p];
+    looks.push_back({vec(n.albedo), vec(n.emission), vec(skyIrradiance(sky, n) + scene.lamps[p])});
+  }
   static_assert(sizeof(VertexPatches) == sizeof(shaders::Interpolation));
   const auto make = [&](Buffer& buffer, uint64_t bytes) -> Result<void> {
     auto b = Buffer::create(context, std::max<uint64_t>(bytes, 64), VK_BUFFER_USAGE_STORAGE_BUFFER_BIT);
@@ -126,7 +119,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
                                std::pair<Buffer&, uint64_t>(r.looks_, patches * sizeof(shaders::PatchLook)),
                                std::pair<Buffer&, uint64_t>(r.patch_slot_, patches * sizeof(uint32_t)),
                                std::pair<Buffer&, uint64_t>(r.differences_, patches * sizeof(float)),
-                               std::pair<Buffer&, uint64_t>(r.slots_, runtime::kMaxSlots * sizeof(shaders::Light)),
+                               std::pair<Buffer&, uint64_t>(r.slots_, runtime::kMaxSlots * sizeof(shaders::vec4)),
                                std::pair<Buffer&, uint64_t>(r.light_, uint64_t{r.vertices_} * sizeof(shaders::Light)),
                                std::pair<Buffer&, uint64_t>(r.frame_, sizeof(shaders::Frame))})
     if (auto made = make(buffer, bytes); !made) return made.error();
@@ -172,6 +165,7 @@ Result<Rendered> Renderer::render(const SunRaster& raster, const DrawGeometry& g
   frame.sun_irradiance = vec(sun.irradiance);
   frame.sky_l0 = vec(sky_.l0);
   for (int c = 0; c < 3; ++c) frame.sky_l1[c] = vec(sky_.l1[c]);
+  for (size_t k = 0; k < 5; ++k) frame.sky_l2[k] = {sky_.l2[0][k], sky_.l2[1][k], sky_.l2[2][k], 0};
   frame.eye = vec(view.eye);
   frame.look_x = vec(basis.right * (half * aspect));
   frame.look_y = vec(basis.up * -half);

@@ -31,13 +31,13 @@ struct Rendered {
 // What changes from frame to frame.
 struct FrameLight {
   std::span<const uint32_t> patch_slot;       // per patch
-  std::span<const shaders::Light> slots;      // at least one
+  std::span<const shaders::vec4> slots;       // gatherLight(); at least one
   std::span<const float> difference;          // per patch, drawn into Rendered::difference
 };
 
 class Renderer {
  public:
-  // sky is part of the look of patches, so it is fixed, as the sun is. Errors (kIo): out of memory, a world too large
+  // The sky's and the lamps' light is part of the look of patches, so it is fixed, as the sun is. Errors (kIo): out of memory, a world too large
   // for one binding.
   static Result<Renderer> create(VkContext& context, const ViewScene& scene, const Weld& weld,
                                  const DrawGeometry& geometry, const runtime::Sky& sky, VkExtent2D extent);
@@ -59,8 +59,5 @@ class Renderer {
   uint32_t vertices_ = 0, vertices_per_chunk_ = 0;
   Buffer tables_, looks_, patch_slot_, slots_, light_, differences_, frame_, pixels_;
 };
-
-// Irradiance from the sky on a node, W/m2.
-Vec3 skyIrradiance(const formats::Node& node, const runtime::Sky& sky);
 
 }  // namespace ff::view

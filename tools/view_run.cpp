@@ -118,9 +118,9 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
   if (!settled) return settled.error();
 
   const runtime::LocalMatrix& matrix = updater.matrix();
-  std::vector<runtime::Vec4> radiosity(matrix.slots());
-  if (auto r = updater.radiosity(radiosity); !r) return r.error();
-  const auto slots = gatherLight(matrix, slotEmission(matrix, streamer.active()), radiosity);
+  std::vector<runtime::Vec4> reflected(matrix.slots());
+  if (auto r = updater.reflected(reflected); !r) return r.error();
+  const auto slots = gatherLight(matrix, reflected);
   const auto patch_slot = patchSlots(f.world, matrix);
   Comparison comparison;
   comparison.difference.resize(f.scene.patches.size());

@@ -1,5 +1,9 @@
 #include "tools/view_scene.h"
 
+#include <span>
+
+#include "runtime/lamps.h"
+
 namespace ff::view {
 
 Result<ViewScene> loadScene(const formats::World& world) {
@@ -7,11 +11,14 @@ Result<ViewScene> loadScene(const formats::World& world) {
     return Error{ErrorCode::kInvalidFile, world.path(), "", "the world has no drawing geometry", "bake it again with geometry"};
   ViewScene scene;
   scene.cell_m = world.info().cell_m;
+  const runtime::Lamps lamps(world.info());
   scene.patches.reserve(world.levels()[0].nodes);
   for (const formats::TileInfo& tile : world.tiles(0)) {
     auto strip = world.strip(tile.id);
     if (!strip) return strip.error();
     scene.patches.insert(scene.patches.end(), strip->nodes.begin(), strip->nodes.end());
+    scene.lamps.resize(scene.patches.size());
+    lamps.irradiance(strip->lamps, std::span(scene.lamps).last(strip->nodes.size()));
     auto geometry = world.geometry(tile.id.tile);
     if (!geometry) return geometry.error();
     scene.corners.insert(scene.corners.end(), geometry->positions.begin(), geometry->positions.end());

@@ -11,6 +11,7 @@ namespace ff::view {
 
 struct ViewScene {
   std::vector<formats::Node> patches;    // level 0, by node number
+  std::vector<Vec3> lamps;               // irradiance from the lamps as baked, W/m2, likewise
   std::vector<Vec3> corners;             // 3 per triangle, m, counter-clockwise from the front
   std::vector<uint32_t> triangle_patch;  // node number
   float cell_m = 1;

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
+#include <map>
 #include <mutex>
 #include <thread>
 
@@ -57,9 +59,12 @@ struct Rows {
 struct Level {
   std::vector<Rows> tiles;
   std::vector<float> area;        // by node; 0 where the strip is unreadable
-  std::vector<uint32_t> quanta;
-  std::vector<Vec3> emission;
+  std::vector<Node> nodes;        // of readable strips
+  std::vector<std::vector<LampLight>> lamps;  // by tile
 };
+
+constexpr double kFractionStep = 0x1p-11;  // of two values of 12 bits
+constexpr double kDeviations = 6;
 
 std::string stripPlace(TileId id, uint64_t offset) {
   return "strip " + std::to_string(id.level) + ":" + std::to_string(id.tile) + " at offset " + std::to_string(offset);
@@ -75,6 +80,7 @@ class Checker {
     for (uint32_t l = 0; l < world_.levels().size(); ++l) {
       Level level = load(l);
       compareRows(l, level);
+      compareSky(l, level);
       if (l > 0) compareParents(l, below, level);
       level.tiles.clear();
       below = std::move(level);
@@ -103,8 +109,8 @@ class Checker {
     Level level;
     level.tiles.resize(tiles.size());
     level.area.resize(world_.levels()[l].nodes);
-    level.quanta.resize(level.area.size());
-    level.emission.resize(level.area.size());
+    level.nodes.resize(level.area.size());
+    level.lamps.resize(tiles.size());
     Findings findings(tiles.size());
     forEach(tiles.size(), threads_, [&](size_t t, size_t) {
       auto strip = world_.strip(tiles[t].id);
@@ -115,9 +121,12 @@ class Checker {
       }
       for (size_t i = 0; i < strip->nodes.size(); ++i) {
         level.area[strip->first_node + i] = strip->nodes[i].area_m2;
-        level.quanta[strip->first_node + i] = strip->nodes[i].quanta;
-        level.emission[strip->first_node + i] = strip->nodes[i].emission;
+        level.nodes[strip->first_node + i] = strip->nodes[i];
       }
+      if (const std::string group = unknownGroup(*strip); !group.empty())
+        findings[t].push_back({ErrorCode::kInvalidFile, world_.path(), stripPlace(tiles[t].id, tiles[t].offset), group,
+                               "restore the file from a copy, or bake again"});
+      level.lamps[t] = std::move(strip->lamps);
       level.tiles[t] = {std::move(strip->blocks), std::move(strip->rows), std::move(strip->columns),
                         std::move(strip->counts), true};
     });
@@ -125,6 +134,42 @@ class Checker {
     check_.strips += tiles.size();
     check_.entries += world_.levels()[l].entries;
     return level;
+  }
+
+  // Empty: the strip names none that the manifest does not list.
+  std::string unknownGroup(const Strip& strip) const {
+    const size_t listed = world_.info().lamp_groups.size();
+    const auto named = [&](uint32_t group) {
+      return "names lamp group " + std::to_string(group) + ", the manifest lists " + std::to_string(listed);
+    };
+    for (const Node& n : strip.nodes)
+      if (n.lamp_group != kNoLampGroup && n.lamp_group >= listed) return named(n.lamp_group);
+    for (const LampLight& lamp : strip.lamps)
+      if (lamp.group >= listed) return named(lamp.group);
+    return {};
+  }
+
+  // Rows' counts of sky against their fractions.
+  void compareSky(uint32_t l, const Level& level) {
+    uint32_t last_tile = ~0u;
+    for (uint32_t i = 0; i < level.nodes.size(); ++i) {
+      const Node& n = level.nodes[i];
+      const auto total = static_cast<double>(n.row_total), f = static_cast<double>(n.sky_fraction);
+      if (!(level.area[i] > 0) || n.quanta == 0 || !(total > 0) || total >= kMostTotal) continue;
+      const double expected = n.quanta * f / total;
+      const double deviation = world_.info().rays > 0 ? n.quanta * std::sqrt(std::max(0.0, f * (1 - f)) / world_.info().rays) : 0;
+      const double allowed = 1 + kFractionStep * expected + kDeviations * deviation;
+      double off = std::abs(n.sky - expected);
+      if (f >= 1 && n.sky > expected) off = 0;  // was clamped
+      check_.worst_sky = std::max(check_.worst_sky, off / allowed);
+      if (off <= allowed) continue;
+      const uint32_t tile = world_.tileOf(l, i);
+      if (tile == last_tile) continue;  // one finding a tile
+      last_tile = tile;
+      check_.unphysical.push_back(unphysical({l, tile}, "node " + std::to_string(i) + ": " + std::to_string(n.sky) + " of " +
+                                                            std::to_string(n.quanta) + " quanta are sky, its fraction of sky makes " +
+                                                            std::to_string(expected) + " of them"));
+    }
   }
 
   // The worst pair of one tile with itself and the tiles after it, and with tiles before it that do not name it.
@@ -159,16 +204,17 @@ class Checker {
   void compareTile(uint32_t l, const Level& level, uint32_t a, std::vector<uint16_t>& table, TileResult& result) const {
     const auto tiles = world_.tiles(l);
     const Rows& rows = level.tiles[a];
-    const double deviation = static_cast<double>(world_.info().row_total_deviation);
+    const auto end = [&](uint32_t node, uint32_t count) {
+      return PairEnd{static_cast<double>(level.area[node]), static_cast<double>(level.nodes[node].row_total), level.nodes[node].quanta, count};
+    };
     size_t begin = 0;
     for (const Block& block : rows.blocks) {
-      const size_t end = begin + block.entries;
+      const size_t block_end = begin + block.entries;
       const uint32_t b = block.partner_tile, first_a = tiles[a].first_node, first_b = tiles[b].first_node;
       const auto take = [&](uint32_t i, uint32_t j, uint32_t n_ij, uint32_t n_ji) {
         ++result.pairs;
         const uint32_t from = first_a + i, to = first_b + j;
-        const PairCheck p = checkPair(l, from, to, level.area[from], level.quanta[from], n_ij, level.area[to],
-                                      level.quanta[to], n_ji, deviation);
+        const PairCheck p = checkPair(l, from, to, end(from, n_ij), end(to, n_ji));
         if (p.ratio() > result.worst.ratio()) result.worst = p;
       };
       // The block in the other direction; absent if tile b names none of ours. The pair is compared by the lower tile,
@@ -182,22 +228,22 @@ class Checker {
       }
       const bool mine = other.readable && (a <= b || other_entries == 0);
       if (mine) {
-        for (size_t e = begin; e < end; ++e) table[rows.rows[e] * kTileNodes + rows.columns[e]] = rows.counts[e];
+        for (size_t e = begin; e < block_end; ++e) table[rows.rows[e] * kTileNodes + rows.columns[e]] = rows.counts[e];
         for (size_t e = other_begin; e < other_begin + other_entries; ++e) {
           uint16_t& n_ij = table[other.columns[e] * kTileNodes + other.rows[e]];
           if (a == b && other.columns[e] > other.rows[e]) continue;  // once per pair of one tile: see below
           take(other.columns[e], other.rows[e], n_ij, other.counts[e]);
           if (a != b) n_ij = 0;
         }
-        for (size_t e = begin; e < end; ++e) {
+        for (size_t e = begin; e < block_end; ++e) {
           const uint32_t i = rows.rows[e], j = rows.columns[e];
           if (a != b && table[i * kTileNodes + j] != 0) take(i, j, rows.counts[e], 0);
           // Within a tile: pairs i > j were compared above as (column j, row i); those with only n_ij, i < j, remain.
           if (a == b && i < j && table[j * kTileNodes + i] == 0) take(i, j, rows.counts[e], 0);
         }
-        for (size_t e = begin; e < end; ++e) table[rows.rows[e] * kTileNodes + rows.columns[e]] = 0;
+        for (size_t e = begin; e < block_end; ++e) table[rows.rows[e] * kTileNodes + rows.columns[e]] = 0;
       }
-      begin = end;
+      begin = block_end;
     }
   }
 
@@ -210,7 +256,7 @@ class Checker {
       const uint32_t p = world_.parent(l - 1, i);
       area[p] += static_cast<double>(below.area[i]);
       for (int c = 0; c < 3; ++c)
-        power[3 * p + static_cast<size_t>(c)] += static_cast<double>(below.area[i]) * static_cast<double>(below.emission[i][c]);
+        power[3 * p + static_cast<size_t>(c)] += static_cast<double>(below.area[i]) * static_cast<double>(below.nodes[i].emission[c]);
       if (!(below.area[i] > 0)) whole[p] = 0;  // a child could not be read
     }
     uint32_t last_tile = ~0u;
@@ -221,7 +267,7 @@ class Checker {
       double emission_error = 0;
       for (int c = 0; c < 3; ++c) {
         const double sum = power[3 * p + static_cast<size_t>(c)];
-        const double mine = a * static_cast<double>(level.emission[p][c]);
+        const double mine = a * static_cast<double>(level.nodes[p].emission[c]);
         if (sum != mine) emission_error = std::max(emission_error, std::abs(mine - sum) / std::max(sum, mine));
       }
       check_.worst_area = std::max(check_.worst_area, area_error);
@@ -235,6 +281,58 @@ class Checker {
                          " is not the sum of its children's (relative difference " +
                          std::to_string(std::max(area_error, emission_error)) + ")"));
     }
+    compareLamps(l, below, level, area, whole);
+  }
+
+  // Light of one lamp group at one node, power by channel, W over the group's emission.
+  struct LampPower {
+    double sum[3] = {0, 0, 0}, mine[3] = {0, 0, 0};
+    bool clamped[3] = {false, false, false};
+  };
+
+  void compareLamps(uint32_t l, const Level& below, const Level& level, std::span<const double> area, std::span<const uint8_t> whole) {
+    std::map<std::pair<uint32_t, uint16_t>, LampPower> power;  // by parent and group
+    const auto visit = [&](uint32_t at, const Level& from, const auto& take) {
+      for (uint32_t t = 0; t < from.lamps.size(); ++t)
+        for (const LampLight& lamp : from.lamps[t]) take(world_.tiles(at)[t].first_node + lamp.row, lamp);
+    };
+    visit(l - 1, below, [&](uint32_t node, const LampLight& lamp) {
+      LampPower& p = power[{world_.parent(l - 1, node), lamp.group}];
+      for (int c = 0; c < 3; ++c) {
+        p.sum[c] += static_cast<double>(below.area[node]) * static_cast<double>(lamp.weight[c]);
+        p.clamped[c] |= lamp.weight[c] >= 1;
+      }
+    });
+    visit(l, level, [&](uint32_t node, const LampLight& lamp) {
+      LampPower& p = power[{node, lamp.group}];
+      for (int c = 0; c < 3; ++c) {
+        p.mine[c] += static_cast<double>(level.area[node]) * static_cast<double>(lamp.weight[c]);
+        p.clamped[c] |= lamp.weight[c] >= 1;
+      }
+    });
+    std::vector<std::string> findings(world_.tiles(l).size());  // the first of each tile
+    for (uint32_t i = 0; i < below.nodes.size(); ++i) {
+      const uint32_t p = world_.parent(l - 1, i);
+      if (whole[p] == 0 || !(level.area[p] > 0) || below.nodes[i].lamp_group == level.nodes[p].lamp_group) continue;
+      if (std::string& found = findings[world_.tileOf(l, p)]; found.empty())
+        found = "node " + std::to_string(p) + ": is of another lamp group than its child " + std::to_string(i);
+    }
+    for (const auto& [key, p] : power) {
+      const auto [node, group] = key;
+      if (whole[node] == 0 || !(level.area[node] > 0)) continue;
+      for (int c = 0; c < 3; ++c) {
+        const double larger = std::max(p.sum[c], p.mine[c]);
+        if (p.clamped[c] || larger < 0x1p-30 * area[node]) continue;
+        const double off = std::abs(p.sum[c] - p.mine[c]) / larger;
+        check_.worst_lamps = std::max(check_.worst_lamps, off);
+        if (off <= kFractionStep + kSumTolerance) continue;
+        if (std::string& found = findings[world_.tileOf(l, node)]; found.empty())
+          found = "node " + std::to_string(node) + ": light of lamp group " + std::to_string(group) +
+                  " is not the sum of its children's (relative difference " + std::to_string(off) + ")";
+      }
+    }
+    for (uint32_t t = 0; t < findings.size(); ++t)
+      if (!findings[t].empty()) check_.unphysical.push_back(unphysical({l, t}, findings[t]));
   }
 
   void readGeometry() {
@@ -270,13 +368,13 @@ class Checker {
 
 }  // namespace
 
-PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, double area_i, uint32_t quanta_i, uint32_t n_ij,
-                    double area_j, uint32_t quanta_j, uint32_t n_ji, double deviation) {
-  const double quantum_i = quanta_i > 0 ? area_i / quanta_i : 0, quantum_j = quanta_j > 0 ? area_j / quanta_j : 0;
-  PairCheck p{level, i, j, quantum_i * n_ij, quantum_j * n_ji, 0};
+PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_i, const PairEnd& from_j) {
+  const auto quantum = [](const PairEnd& e) { return e.quanta > 0 ? e.area_m2 * e.total / e.quanta : 0; };
+  const double quantum_i = quantum(from_i), quantum_j = quantum(from_j);
+  PairCheck p{level, i, j, quantum_i * from_i.count, quantum_j * from_j.count, 0};
   const double larger = std::max(p.x_ij, p.x_ji);
-  p.bound = (quantum_i + quantum_j) * (1 + 2 * deviation) + 2 * deviation * larger +
-            kRounding * (larger + quantum_i + quantum_j);
+  p.bound = quantum_i + quantum_j + (kFractionStep + kRounding) * larger + kRounding * (quantum_i + quantum_j);
+  if (from_i.total >= kMostTotal || from_j.total >= kMostTotal) p.bound = std::numeric_limits<double>::infinity();
   return p;
 }
 

@@ -90,7 +90,7 @@ double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster
     const chart::PatchRows rows = chart::pooledRows(set, hits, q);
     return chart::solveRows(set, rows, chart::sunAndSky(set, rows, sun));
   };
-  return chart::reflectedDifference(set, solve(castRows(scene, set, caster, rays, 1, done), quanta),
+  return chart::reflectedDifference(solve(castRows(scene, set, caster, rays, 1, done), quanta),
                                     solve(castRows(scene, set, caster, 16384, 77, done), 0));
 }
 

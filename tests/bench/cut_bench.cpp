@@ -138,7 +138,7 @@ int main(int argc, char** argv) {
   CLI::App app{"Accuracy of the cut: streamed against whole-world radiosity. One JSON object a line."};
   app.add_option("--world", options.world, "a baked world with drawing geometry; without it a town is baked");
   app.add_flag("--quick", options.quick, "a smaller town");
-  app.add_flag("--lamps", options.lamps, "let emission shine too");
+  app.add_flag("--lamps", options.lamps, "lamps are on, too");
   app.add_flag("--verbose", options.verbose, "a line per observer on standard error");
   app.add_option("--observers", options.observers)->check(CLI::Range(1, 1000))->capture_default_str();
   app.add_option("--growth", options.growth)->check(CLI::Range(1.0f, 8.0f))->capture_default_str();

@@ -28,7 +28,7 @@ void directLight(void* user, uint32_t level, uint32_t, uint32_t first_node, uint
   }
 }
 
-constexpr FormfieldSky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+constexpr FormfieldSky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
 
 class Formfield : public testing::Test {
  protected:

@@ -32,7 +32,7 @@ class FormfieldVulkan : public testing::Test {
     EXPECT_EQ(formfieldOpenWorld(device, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK)
         << formfieldError(device);
     if (!world) return {};
-    const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+    const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
     const float at[3] = {16, 1, 16}, above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
     EXPECT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
     for (int i = 0; i < 3; ++i) EXPECT_EQ(formfieldFrame(world, at, nullptr), FORMFIELD_OK) << formfieldError(device);
@@ -148,7 +148,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
   ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings, &world), FORMFIELD_OK);
   const VkBuffer buffer = formfieldRadiosityBuffer(world);
   EXPECT_TRUE(buffer != VK_NULL_HANDLE && formfieldSourceBuffer(world) != VK_NULL_HANDLE);
-  const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+  const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
   ASSERT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
 
   constexpr int kFrames = 160;

@@ -38,12 +38,9 @@ class RadianceOracle {
     if (!caster) throw std::runtime_error(caster.error().line());
     caster_ = std::make_unique<bake::RayCaster>(std::move(*caster));
     sun_ = std::move(*chart::sunIrradiance(world, to_sun, sun));
-    std::vector<double> source;
-    for (size_t i = 0; i < nodes.size(); ++i) {
-      const Vec3 m = nodes[i].emission + nodes[i].albedo * (sun_[i] + skyIrradiance(sky, nodes[i]));
-      for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(m[c]));
-    }
-    radiosity_ = solveFullWorld(world, source)->radiosity;
+    radiosity_ = solveFullWorld(world, *fullSource(world, sun_, sky, Lamps(world.info())))->radiosity;
+    for (size_t i = 0; i < nodes.size(); ++i)
+      for (size_t c = 0; c < 3; ++c) radiosity_[3 * i + c] += static_cast<double>(nodes[i].emission[static_cast<int>(c)]);
   }
 
   const std::vector<Vec3>& sun() const { return sun_; }  // irradiance by patch
@@ -69,7 +66,7 @@ class RadianceOracle {
       double share[3] = {0, 0, 0};
       if (hit.triangle == bake::kNone) {
         e.sky += 1.0 / rays;
-        for (int c = 0; c < 3; ++c) share[c] = 3.14159265358979 * static_cast<double>(sky_.l0[c] + dot(sky_.l1[c], d));
+        for (int c = 0; c < 3; ++c) share[c] = 3.14159265358979 * static_cast<double>(skyRadiance(sky_, d)[c]);
       } else if (hit.front) {
         for (size_t c = 0; c < 3; ++c) share[c] = radiosity_[size_t{3} * patch_of_[hit.triangle] + c];
       } else {

@@ -8,7 +8,9 @@
 namespace ff::runtime {
 namespace {
 
-constexpr Sky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+constexpr Sky kSky{{1, 2, 3},
+                   {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}},
+                   {{0.1f, 0.2f, 0.3f, 0.4f, 0.5f}, {0, 0, 0, 1, 0}, {0.5f, 0, 0, 0, 0.25f}}};
 
 // Direct irradiance by node number: any function will do, as long as its caller can repeat it.
 Vec3 directAt(uint32_t level, uint32_t node) {
@@ -32,6 +34,11 @@ struct Walker {
     EXPECT_TRUE(updater.radiosity(out));
     return out;
   }
+  std::vector<Vec4> reflected() {
+    std::vector<Vec4> out(updater.matrix().slots());
+    EXPECT_TRUE(updater.reflected(out));
+    return out;
+  }
   float strength = 1;
   int asked = 0;
   std::unique_ptr<stream::Streamer> streamer;
@@ -39,30 +46,147 @@ struct Walker {
   Updater updater;
 };
 
-TEST(Updater, SourceIsEmissionAndReflectedSkyAndDirectLight) {
+// W/m2 at every node of a level from the lamps, straight from the strips.
+std::vector<Vec3> lampsAt(const TestWorld& test, uint32_t level, std::span<const Vec3> scale) {
+  std::vector<Vec3> light(test.world().levels()[level].nodes);
+  for (const formats::TileInfo& info : test.world().tiles(level))
+    for (const formats::LampLight& lamp : test.strip(info.id).lamps)
+      light[info.first_node + lamp.row] += test.world().info().lamp_groups[lamp.group].emission * scale[lamp.group] * lamp.weight;
+  return light;
+}
+
+void expectClose(const Vec4& got, Vec3 expected) {
+  const float values[3] = {got.x, got.y, got.z};
+  for (int c = 0; c < 3; ++c) ASSERT_NEAR(values[c], expected[c], 1e-5f * (1 + expected[c]));
+}
+
+TEST(Updater, SourceIsReflectedDirectLightSkyAndLampsAndRadiosityHoldsWhatIsEmittedToo) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 2});
+  Walker walker(test);
+  const std::vector<Vec3> scale{{1, 1, 1}, {0.5f, 0, 3}, {0, 0, 0}};
+  for (uint32_t g = 0; g < scale.size(); ++g) ASSERT_TRUE(walker.updater.setLamp(g, scale[g]));
+  ASSERT_TRUE(walker.updater.frame({16, 1, 16}, {}, 1));
+  ASSERT_TRUE(walker.streamer->settle());
+  ASSERT_TRUE(walker.updater.frame({16.5f, 1, 16}, {}, 1));
+  const std::vector<Vec4> radiosity = walker.radiosity();
+  const std::vector<Vec4> reflected = walker.reflected();
+  bool lit = false, emits = false;
+  for (const SlotRange& range : walker.updater.matrix().tiles) {
+    const std::vector<Vec3> lamps = lampsAt(test, range.id.level, scale);
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const uint32_t slot = range.first_slot + i;
+      const formats::Node& node = test.node(range.id.level, range.first_node + i);
+      Vec3 expected;
+      for (int c = 0; c < 3; ++c) {
+        float quadratic = 0;
+        for (size_t k = 0; k < 5; ++k) quadratic += kSky.l2[c][k] * node.sky_quadratic[k];
+        const float sky = 3.14159265f * node.sky_fraction * (kSky.l0[c] + dot(kSky.l1[c], node.sky_direction) + quadratic);
+        expected[c] = node.albedo[c] * (directAt(range.id.level, range.first_node + i)[c] + lamps[range.first_node + i][c] + sky);
+      }
+      expectClose(walker.updater.source()[slot], expected);
+      const Vec3 emission = node.emission * scale[node.lamp_group];
+      expectClose(walker.updater.emission()[slot], emission);
+      const Vec4 r = reflected[slot];
+      expectClose(radiosity[slot], Vec3{r.x, r.y, r.z} + emission);
+      lit = lit || !(lamps[range.first_node + i] == Vec3{});
+      emits = emits || !(emission == Vec3{});
+    }
+  }
+  EXPECT_TRUE(lit && emits);
+}
+
+TEST(Updater, ALampThatIsOffIsAWorldWithoutIt) {
+  const stream::SyntheticSettings settings{.side = 32, .tile_nodes = 24, .seed = 2};
+  for (uint32_t group = 0; group < 3; ++group) {
+    stream::SyntheticSettings without_settings = settings;
+    without_settings.without_lamps = static_cast<int>(group);
+    const TestWorld test(settings), without(without_settings);
+    Lamps lamps(test.world().info()), others(without.world().info());
+    lamps.set(group, {});
+    // All patches, double precision.
+    const auto source = fullSource(test.world(), {}, kSky, lamps), expected_source = fullSource(without.world(), {}, kSky, others);
+    ASSERT_TRUE(source && expected_source);
+    EXPECT_EQ(*source, *expected_source);
+    EXPECT_NE(*source, *fullSource(test.world(), {}, kSky, Lamps(test.world().info())));
+    EXPECT_EQ(solveFullWorld(test.world(), *source)->radiosity, solveFullWorld(without.world(), *expected_source)->radiosity);
+    // The cut, tiles entering while the lamp is off, and being there when it is switched.
+    Walker walker(test), expected(without);
+    for (Walker* w : {&walker, &expected}) ASSERT_TRUE(w->updater.frame({8, 1, 8}, {}, 1));
+    ASSERT_TRUE(walker.updater.setLamp(group, {}));
+    for (Walker* w : {&walker, &expected}) {
+      for (const Vec3 at : {Vec3{8, 1, 8}, Vec3{20, 1, 20}}) {
+        ASSERT_TRUE(w->updater.frame(at, {}, 1));
+        ASSERT_TRUE(w->streamer->settle());
+      }
+      ASSERT_TRUE(w->updater.frame({20, 1, 20.01f}, {}, 300));  // an albedo of at most 0.9 to the 300th is 2e-14
+    }
+    const std::vector<Vec4> got = walker.radiosity(), want = expected.radiosity();
+    for (const SlotRange& range : walker.updater.matrix().tiles)
+      for (uint32_t i = 0; i < range.nodes; ++i) {
+        const uint32_t slot = range.first_slot + i, other = expected.updater.matrix().slotOf(range.id.level, range.first_node + i);
+        const Vec4 b = want[other];
+        const Vec4 m = walker.updater.source()[slot], n = expected.updater.source()[other];
+        ASSERT_EQ(m.x, n.x);
+        ASSERT_EQ(m.y, n.y);
+        ASSERT_EQ(m.z, n.z);
+        expectClose(got[slot], {b.x, b.y, b.z});
+      }
+  }
+}
+
+TEST(Updater, ALampSwitchedOffAndOnAgainGivesTheSameBitsAndAsksForNothing) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 2});
   Walker walker(test);
   ASSERT_TRUE(walker.updater.frame({16, 1, 16}, {}, 1));
   ASSERT_TRUE(walker.streamer->settle());
-  ASSERT_TRUE(walker.updater.frame({16.5f, 1, 16}, {}, 1));
-  for (const SlotRange& range : walker.updater.matrix().tiles)
-    for (uint32_t i = 0; i < range.nodes; ++i) {
-      const formats::Node& node = test.node(range.id.level, range.first_node + i);
-      const Vec3 direct = directAt(range.id.level, range.first_node + i);
-      for (int c = 0; c < 3; ++c) {
-        const float sky = 3.14159265f * static_cast<float>(node.sky) / static_cast<float>(node.quanta) *
-                          (kSky.l0[c] + dot(kSky.l1[c], node.sky_direction));
-        const float expected_direct = node.emission[c] + node.albedo[c] * direct[c];
-        const float expected = expected_direct + node.albedo[c] * sky;
-        const Vec4 got = walker.updater.source()[range.first_slot + i],
-                   got_direct = walker.updater.direct()[range.first_slot + i];
-        ASSERT_NEAR(c == 0 ? got.x : c == 1 ? got.y : got.z, expected, 1e-5f * (1 + expected));
-        ASSERT_NEAR(c == 0   ? got_direct.x
-                    : c == 1 ? got_direct.y
-                             : got_direct.z,
-                    expected_direct, 1e-5f * (1 + expected));
+  ASSERT_TRUE(walker.updater.frame({16, 1, 16.01f}, {}, 300));
+  const auto bits = [&](std::span<const Vec4> values) {
+    std::vector<float> all;
+    for (const Vec4& v : values) all.insert(all.end(), {v.x, v.y, v.z});
+    return all;
+  };
+  const auto source = bits(walker.updater.source()), emission = bits(walker.updater.emission());
+  const std::vector<Vec4> settled = walker.radiosity();
+  const uint64_t change = walker.updater.emissionChange();
+  walker.asked = 0;
+  for (const Vec3 scale : {Vec3{0, 0, 0}, Vec3{0.3f, 7, 1e-5f}}) {
+    for (uint32_t g = 0; g < walker.updater.lamps().groups(); ++g) ASSERT_TRUE(walker.updater.setLamp(g, scale));
+    const auto frame = walker.updater.frame({16, 1, 16.01f}, {}, 1);
+    ASSERT_TRUE(frame);
+    EXPECT_FALSE(frame->matrix_changed);
+    EXPECT_NE(bits(walker.updater.source()), source);
+    EXPECT_NE(bits(walker.updater.emission()), emission);
+  }
+  EXPECT_EQ(walker.updater.emissionChange(), change + 2);
+  for (uint32_t g = 0; g < walker.updater.lamps().groups(); ++g) ASSERT_TRUE(walker.updater.setLamp(g, {1, 1, 1}));
+  ASSERT_TRUE(walker.updater.frame({16, 1, 16.01f}, {}, 300));
+  EXPECT_EQ(bits(walker.updater.source()), source);
+  EXPECT_EQ(bits(walker.updater.emission()), emission);
+  EXPECT_EQ(walker.asked, 0);
+  const std::vector<Vec4> again = walker.radiosity();
+  for (size_t s = 0; s < settled.size(); ++s) expectClose(again[s], {settled[s].x, settled[s].y, settled[s].z});
+}
+
+// A cluster's light from the lamps is the mean of its patches': the level of the cut makes no difference.
+TEST(Updater, LampsLightTheSameAtEveryLevelOfTheCut) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 2});
+  const std::vector<Vec3> scale{{1, 1, 1}, {0.5f, 2, 3}, {0, 1, 0}};
+  std::vector<Vec3> below = lampsAt(test, 0, scale);
+  for (uint32_t level = 1; level <= test.top(); ++level) {
+    const std::vector<Vec3> own = lampsAt(test, level, scale);
+    for (uint32_t n = 0; n < own.size(); ++n) {
+      const auto [first, last] = test.world().children(level, n);
+      Vec3 sum;
+      float area = 0;
+      for (uint32_t child = first; child < last; ++child) {
+        sum += below[child] * test.node(level - 1, child).area_m2;
+        area += test.node(level - 1, child).area_m2;
       }
+      // Weights keep 12 bits: each side of a comparison is off by half a step of 2^-11 at most.
+      for (int c = 0; c < 3; ++c) ASSERT_NEAR(own[n][c], sum[c] / area, 0x1p-11f * own[n][c] + 1e-6f);
     }
+    below = own;
+  }
 }
 
 TEST(Updater, AsksForDirectLightOfATileWhenItEntersAndAfterAChangeOnly) {
@@ -135,7 +259,7 @@ TEST(Updater, LightSettlesWhateverTilesThatLeftHadInTheirSlots) {
   EXPECT_LT(settled->iterations, 200);  // albedo <= 0.9 shrinks a change to a hundred thousandth in 110 steps
 }
 
-TEST(Updater, RadiosityCarriesOverByNodeWhenTheCutChanges) {
+TEST(Updater, WhatIsReflectedCarriesOverByNodeWhenTheCutChanges) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   Walker walker(test);
   ASSERT_TRUE(walker.updater.frame({30, 1, 30}, {}, 1));
@@ -143,13 +267,13 @@ TEST(Updater, RadiosityCarriesOverByNodeWhenTheCutChanges) {
   ASSERT_TRUE(walker.updater.frame({30, 1, 30.01f}, {}, 1));
   ASSERT_TRUE(walker.updater.converge(1e-6f, 1000));
   const std::vector<SlotRange> old = walker.updater.matrix().tiles;
-  const std::vector<Vec4> before = walker.radiosity();
+  const std::vector<Vec4> before = walker.reflected();
   ASSERT_TRUE(walker.streamer->settle());
   ASSERT_TRUE(walker.updater.frame({36, 1, 30}, {}, 0));
   ASSERT_TRUE(walker.streamer->settle());
   const auto frame = walker.updater.frame({36, 1, 30.01f}, {}, 0);
   ASSERT_TRUE(frame);
-  const std::vector<Vec4> after = walker.radiosity();
+  const std::vector<Vec4> after = walker.reflected();
   int kept = 0, inherited = 0;
   for (const SlotRange& range : walker.updater.matrix().tiles)
     for (uint32_t i = 0; i < range.nodes; ++i) {

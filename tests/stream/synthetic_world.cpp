@@ -1,6 +1,7 @@
 #include "tests/stream/synthetic_world.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <random>
 
@@ -25,10 +26,14 @@ struct Random {
 
 using Row = std::map<uint32_t, uint32_t>;  // column node -> count
 
+constexpr size_t kLampGroups = 3;
+using LampIrradiance = std::array<Vec3, kLampGroups>;  // of a node from each group, W/m2
+
 struct Level {
   std::vector<uint32_t> codes;  // Morton codes of the cells
   std::vector<Node> nodes;
   std::vector<Row> rows;
+  std::vector<LampIrradiance> lamps;
   std::vector<Box> boxes;
 };
 
@@ -43,8 +48,11 @@ Level makePatches(const SyntheticSettings& s, Random& random) {
     node.normal = {0, 1, 0};
     for (int c = 0; c < 3; ++c) node.albedo[c] = s.albedo >= 0 ? s.albedo : random.uniform(0.05f, 0.9f);
     if (random.chance(0.1)) node.emission = {random.uniform(0, 10), random.uniform(0, 10), random.uniform(0, 10)};
+    node.lamp_group = static_cast<uint16_t>((code >> 2 * (s.levels - 1)) % kLampGroups);  // one beneath each top-level node
+    if (node.lamp_group == s.without_lamps) node.emission = {};
     node.quanta = s.quanta;
     node.sky_direction = {0.1f, 0.7f, -0.2f};
+    node.sky_quadratic = {0.5f, -0.25f, 0, 1, 0.125f};
     level.codes.push_back(code);
     level.nodes.push_back(node);
     level.boxes.push_back({{x, -0.5f, z}, {x + 1, 0.5f, z + 1}});
@@ -61,6 +69,15 @@ Level makePatches(const SyntheticSettings& s, Random& random) {
       const uint32_t column = random.chance(s.far_share) ? random.below(count) : near;
       ++row[column == i ? (i + 1) % count : column];
     }
+    level.nodes[i].sky_fraction = static_cast<float>(level.nodes[i].sky) / static_cast<float>(s.quanta);
+  }
+  // What the rows would have brought of the emission.
+  for (uint32_t i = 0; i < count; ++i) {
+    LampIrradiance& lamps = level.lamps.emplace_back();
+    for (const auto& [column, n] : level.rows[i]) {
+      const Node& from = level.nodes[column];
+      lamps[from.lamp_group] += from.emission * (static_cast<float>(n) / static_cast<float>(s.quanta));
+    }
   }
   return level;
 }
@@ -75,6 +92,7 @@ Level aggregate(const Level& below, std::vector<uint32_t>& parents) {
   level.nodes.resize(level.codes.size());
   level.rows.resize(level.codes.size());
   level.boxes.resize(level.codes.size());
+  level.lamps.resize(level.codes.size());
   for (size_t i = 0; i < below.nodes.size(); ++i) {
     const Node& from = below.nodes[i];
     Node& to = level.nodes[parents[i]];
@@ -86,11 +104,19 @@ Level aggregate(const Level& below, std::vector<uint32_t>& parents) {
     to.sky += from.sky;
     to.normal = from.normal;
     to.sky_direction = from.sky_direction;
+    to.sky_quadratic = from.sky_quadratic;
+    to.sky_fraction += from.sky_fraction * from.area_m2;
+    to.lamp_group = from.lamp_group;
+    for (size_t g = 0; g < kLampGroups; ++g) level.lamps[parents[i]][g] += below.lamps[i][g] * from.area_m2;
     level.boxes[parents[i]].add(below.boxes[i]);
     for (const auto& [column, n] : below.rows[i]) level.rows[parents[i]][parents[column]] += n;
   }
-  for (Node& node : level.nodes)
+  for (size_t i = 0; i < level.nodes.size(); ++i) {
+    Node& node = level.nodes[i];
     for (Vec3* mean : {&node.centroid, &node.albedo, &node.emission}) *mean = *mean / node.area_m2;
+    for (Vec3& mean : level.lamps[i]) mean = mean / node.area_m2;
+    node.sky_fraction = std::min(1.0f, node.sky_fraction / node.area_m2);
+  }
   return level;
 }
 
@@ -119,6 +145,14 @@ void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>&
       Node node = level.nodes[i];
       node.parent = parents.empty() ? formats::kNoParent : parents[i];
       strip.nodes.push_back(node);
+      for (uint16_t g = 0; g < kLampGroups; ++g) {
+        formats::LampLight lamp{static_cast<uint8_t>(i - starts[tile]), g, {}};
+        for (int c = 0; c < 3; ++c) {
+          const float most = world.info.lamp_groups[g].emission[c];
+          lamp.weight[c] = most > 0 ? std::min(1.0f, level.lamps[i][g][c] / most) : 0.0f;
+        }
+        if (!(lamp.weight == Vec3{})) strip.lamps.push_back(lamp);
+      }
       box.add(level.boxes[i]);
       for (const auto& [column, n] : level.rows[i]) {
         const auto after = std::upper_bound(starts.begin(), starts.end(), column);
@@ -147,6 +181,14 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
   Random random{std::mt19937_64(settings.seed)};
   formats::RandomWorld world;
   Level level = makePatches(settings, random);
+  for (size_t g = 0; g < kLampGroups; ++g) world.info.lamp_groups.push_back({"lamp " + std::to_string(g), {}, 0, 0});
+  for (const Node& node : level.nodes) {
+    if (node.emission == Vec3{}) continue;
+    formats::LampGroup& group = world.info.lamp_groups[node.lamp_group];
+    group.emission = max(group.emission, node.emission);
+    group.area_m2 += static_cast<double>(node.area_m2);
+    ++group.patches;
+  }
   for (uint32_t l = 0; l < settings.levels; ++l) {
     std::vector<uint32_t> parents;
     Level above;

@@ -1,6 +1,7 @@
 // A made-up world whose answers are known: patches on a square of unit cells with holes, in Morton order, clusters of
 // 2x2 cells, and rows drawn at random (mostly near columns). Coarse rows are the exact aggregates of the patches' rows
 // when areas are equal: with A and Q the same everywhere, A_I F_IJ = sum of A_i F_ij becomes a sum of integer counts.
+// A tenth of the patches emit, in three lamp groups; their light is what the patches' rows would bring of it.
 #pragma once
 #include "tests/formats/random_world.h"
 
@@ -16,6 +17,7 @@ struct SyntheticSettings {
   double hole_share = 0.2;   // of the cells that hold no patch
   bool equal_areas = true;   // else random, and coarse rows are aggregates of counts only
   float albedo = -1;         // negative: random
+  int without_lamps = -1;    // the lamp group that does not emit; negative: all do
   uint64_t seed = 1;
 };
 

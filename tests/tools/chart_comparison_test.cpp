@@ -20,9 +20,7 @@ class ComparisonOfPlaces : public InABakedScene {
     ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.4f, 16));
     world_->lookAt(std::vector<Place>{{{0.5f, 0.5f, 0.5f}, {}, 10}}, 100000);
     ASSERT_EQ(world_->lookedAt().size(), world_->patches().size());
-    light_.lamps.mean.resize(1);
-    light_.lamps.mean[0].assign(world_->patches().size(), {1, 1, 1});
-    light_.full.assign(3 * world_->patches().size(), 1);  // emission alone
+    light_.full.assign(3 * world_->patches().size(), 0);
     light_.traced.resize(world_->patches().size());
     for (PatchTruth& t : light_.traced) t.reflected = {2, 2, 2};
   }
@@ -95,9 +93,8 @@ TEST_F(ComparisonOfPlaces, BuriedPatchesTakeNoPart) {
   EXPECT_NEAR(c.accuracy("").energy.value, 0.1, 1e-6);
 }
 
-// The full solve is a radiosity: emission is taken off before it is compared.
-TEST_F(ComparisonOfPlaces, TheFullSolveIsComparedWithoutEmission) {
-  light_.full.assign(light_.full.size(), 1 + 2.5);
+TEST_F(ComparisonOfPlaces, TheFullSolveIsCompared) {
+  light_.full.assign(light_.full.size(), 2.5);
   const auto numbers = world_->ofPlace(0);
   Comparison c;
   c.addPlace(*world_, light_, numbers, repeated(numbers.size(), 2.0));

@@ -284,23 +284,23 @@ TEST(PathTracer, APatchMostlyBuriedIsWorthWhatIsSeenOfIt) {
   EXPECT_NEAR(t.tracer->sunIrradiance(floor, light, 256)[0].y, 10, 1e-4);
 }
 
-TEST(PathTracer, OnlyLampsInTheLitBoxShine) {
+TEST(PathTracer, OnlyLampGroupsThatAreOnShine) {
   bake::Scene scene;
-  const uint32_t floor = addMaterial(scene, kGrey), lamp = addMaterial(scene, kBlack, radianceOf(4));
-  for (const float x : {0.0f, 40.0f}) {
+  const uint32_t floor = addMaterial(scene, kGrey);
+  for (const float x : {0.0f, 40.0f}) {  // each lamp is a material, and so a group, of its own
     level(scene, x, 0, true, floor);
-    level(scene, x, 1, false, lamp);
+    level(scene, x, 1, false, addMaterial(scene, kBlack, radianceOf(4)));
   }
   const Traced t(std::move(scene), 0.5f);
   const auto near = [&](float x) {
     return t.where([&](const formats::Node& n) { return n.centroid.y < 0.5f && std::abs(n.centroid.x - x - 0.5f) < 1; });
   };
-  Lighting light{.name = "one lamp", .sky = {}, .sun = {}, .lamps = 0.5f, .lit = {{-1, -1, -1}, {2, 2, 2}}};
+  Lighting light{.name = "one lamp", .sky = {}, .sun = {}, .lamps = 0.5f, .groups = {0}};
   const double known = 0.5 * 0.5 * 4 * 0.199824895698;
   const Mean lit = t.mean(near(0), light, 4096);
   EXPECT_NEAR(lit.value, known, 4 * lit.error);
   EXPECT_LT(t.mean(near(40), light, 256).value, 1e-5) << "a lamp 40 m away, almost edge on";
-  light.lit = Lighting{}.lit;
+  light.groups.clear();
   const Mean other = t.mean(near(40), light, 4096);
   EXPECT_NEAR(other.value, known, 4 * other.error);
 }

@@ -39,6 +39,19 @@ class Inspect : public testing::Test {
     ASSERT_TRUE(ok) << ok.error().line();
   }
   std::string world() const { return folder_.file("f.ffm"); }
+  // All of one lamp group, of whose emission half arrives at even patches and a quarter at odd ones.
+  static RandomWorld worldWithLamps() {
+    RandomWorld w = makeFurnaceWorld(300);
+    w.info.lamp_groups = {{"candle", {1, 0, 0}, 150, 150}};
+    for (size_t level = 0; level < w.strips.size(); ++level)
+      for (Strip& strip : w.strips[level])
+        for (size_t i = 0; i < strip.nodes.size(); ++i) {
+          strip.nodes[i].lamp_group = 0;
+          const float weight = level == 1 ? 0.375f : i % 2 == 0 ? 0.5f : 0.25f;
+          strip.lamps.push_back({static_cast<uint8_t>(i), 0, {weight, 0, 0}});
+        }
+    return w;
+  }
   TemporaryFolder folder_;
 };
 
@@ -106,10 +119,14 @@ TEST_F(Inspect, FindsARowThatContradictsItsPartner) {
   EXPECT_EQ(json["count_ij"], 11);
   EXPECT_EQ(json["count_ji"], 1);
   EXPECT_GT(json["of_allowed"], 1.0);
-  // The whole slack that the world admits to is granted: 11 : 1 is within 100 % of row scaling.
+  // What the row of most deviation admits to is not granted to others, only its own total is: with an eleventh, its 11
+  // quanta are as much as the partner's one, and its single ones within a quantum of theirs.
   w.info.row_total_deviation = 1;
   write(w);
-  EXPECT_EQ(inspect("verify " + world()).code, 0);
+  EXPECT_EQ(inspect("verify " + world()).code, 4);
+  w.strips[0][1].nodes[280 - 256].row_total = 1.0f / 11;
+  write(w);
+  EXPECT_EQ(inspect("verify " + world()).code, 0) << inspect("verify " + world()).text;
 }
 
 // The other direction: an entry that nothing answers, below and above the diagonal of one tile and between two.
@@ -143,6 +160,66 @@ TEST_F(Inspect, FindsAPyramidThatDoesNotAddUp) {
   run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4) << run.text;
   EXPECT_NE(run.text.find("node 129: emission"), std::string::npos) << run.text;
+}
+
+TEST_F(Inspect, FindsACountOfSkyThatContradictsTheFractionOfSky) {
+  RandomWorld w = makeFurnaceWorld(300);
+  Node& node = w.strips[0][0].nodes[7];
+  node.sky_fraction = 1 / 299.0f;  // none of 299 quanta is within one of it
+  write(w);
+  EXPECT_EQ(inspect("verify " + world()).code, 0);
+  node.sky_fraction = 3 / 299.0f;
+  write(w);
+  Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4);
+  EXPECT_NE(run.text.find("node 7: 0 of 299 quanta are sky"), std::string::npos) << run.text;
+  w.info.rays = 4096;  // of a hundredth, so many rays are off by 6 * 0.47 quanta and less
+  write(w);
+  EXPECT_EQ(inspect("verify " + world()).code, 0);
+}
+
+TEST_F(Inspect, FindsLampsThatDoNotAddUp) {
+  write(worldWithLamps());
+  EXPECT_EQ(inspect("verify " + world()).code, 0) << inspect("verify " + world()).text;
+  RandomWorld w = worldWithLamps();
+  w.strips[1][0].lamps[17].weight.x *= 1.001f;  // 12 bits are a quarter of that
+  write(w);
+  Outcome run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4);
+  EXPECT_NE(run.text.find("node 17: light of lamp group 0"), std::string::npos) << run.text;
+  w = worldWithLamps();
+  w.strips[0][1].lamps.erase(w.strips[0][1].lamps.begin() + 3);  // a patch that none of it reaches
+  write(w);
+  run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4);
+  EXPECT_NE(run.text.find("node 129: light of lamp group 0"), std::string::npos) << run.text;
+  w = worldWithLamps();
+  w.strips[0][1].nodes[3].lamp_group = kNoLampGroup;
+  write(w);
+  run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 4);
+  EXPECT_NE(run.text.find("node 129: is of another lamp group than its child 259"), std::string::npos) << run.text;
+  w = worldWithLamps();
+  w.strips[0][1].lamps[3].group = 1;
+  write(w);
+  run = inspect("verify " + world());
+  EXPECT_EQ(run.code, 3);
+  EXPECT_NE(run.text.find("names lamp group 1, the manifest lists 1"), std::string::npos) << run.text;
+}
+
+TEST_F(Inspect, ShowsLampGroupsAndWhatANodeGetsOfThem) {
+  write(worldWithLamps());
+  EXPECT_NE(inspect("info " + world()).text.find("lamp group   0 \"candle\": 1 0 0 W/m2"), std::string::npos);
+  const auto groups = nlohmann::json::parse(inspect("info --json " + world()).text)["lamp_groups"];
+  ASSERT_EQ(groups.size(), 1u);
+  EXPECT_EQ(groups[0]["name"], "candle");
+  EXPECT_NE(inspect("row " + world() + " 0 7").text.find("0 \"candle\": 0.25 0 0 of its emission arrives"), std::string::npos);
+  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 1 3").text);
+  ASSERT_EQ(row["lamps"].size(), 1u);
+  EXPECT_EQ(row["lamps"][0]["name"], "candle");
+  EXPECT_EQ(row["lamps"][0]["weight"][0], 0.375);
+  EXPECT_EQ(row["lamp_group"], 0);
+  EXPECT_EQ(nlohmann::json::parse(inspect("tile --json " + world() + " 0 1").text)["nodes"][1]["lamps"].size(), 1u);
 }
 
 TEST_F(Inspect, ListsTheLightsOfTheFile) {
@@ -198,8 +275,13 @@ TEST_F(Inspect, ExportsRowsAndPatches) {
   const std::vector<std::byte> npy = readFile(to);
   const size_t header = 10 + std::to_integer<size_t>(npy[8]) + 256 * std::to_integer<size_t>(npy[9]);
   EXPECT_EQ(header % 64, 0u);
-  EXPECT_EQ(npy.size() - header, 300u * 80);
+  EXPECT_EQ(npy.size() - header, 300u * 112);
   ASSERT_EQ(inspect("export " + world() + " --what rows --format npy -o " + to).code, 0);
+  write(worldWithLamps());
+  ASSERT_EQ(inspect("export " + world() + " --what lamps --format npy -o " + to).code, 0);
+  const std::vector<std::byte> lamps = readFile(to);
+  const size_t lamps_header = 10 + std::to_integer<size_t>(lamps[8]) + 256 * std::to_integer<size_t>(lamps[9]);
+  EXPECT_EQ(lamps.size() - lamps_header, 300u * 20);
   ASSERT_EQ(inspect("export " + world() + " --what patches --format ply -o " + to).code, 0);
   EXPECT_EQ(inspect("export " + world() + " --what rows --format ply -o " + to).code, 1);
   EXPECT_EQ(inspect("export " + world() + " --what rows --format mtx -o " + folder_.file("absent/x")).code, 2);

@@ -96,7 +96,7 @@ struct Drawn {
 class Pictures : public Drawing {
  protected:
   Drawn draw(const ViewScene& scene, const View& view, const Sun& sun, const runtime::Sky& sky,
-             std::vector<shaders::Light> slots, std::vector<uint32_t> patch_slot) {
+             std::vector<shaders::vec4> slots, std::vector<uint32_t> patch_slot) {
     const Weld weld = weldScene(scene);
     auto geometry = uploadGeometry(*context_, scene, weld);
     EXPECT_TRUE(geometry);
@@ -112,9 +112,10 @@ class Pictures : public Drawing {
 TEST_F(Pictures, ShowEmissionAndAlbedoTimesIrradiance) {
   ViewScene scene;
   addSheet(scene, {-20, 0, -20}, {0, 0, 40}, {40, 0, 0}, 40, 40, {0.5f, 0.25f, 0.125f}, {3, 2, 1});
-  for (formats::Node& n : scene.patches) n.sky = n.quanta;
+  for (formats::Node& n : scene.patches) n.sky_fraction = 1;
+  scene.lamps.assign(scene.patches.size(), {8, 8, 8});
   const float sky_irradiance = 3.14159265f * 2;
-  const Drawn d = draw(scene, {{0, 5, 0}, {0, 0, 0.1f}, 1}, {}, {{2, 2, 2}, {}}, {{{8, 8, 8, 0}, {16, 16, 16, 0}}},
+  const Drawn d = draw(scene, {{0, 5, 0}, {0, 0, 0.1f}, 1}, {}, {{2, 2, 2}, {}}, {{8, 8, 8, 0}},
                        std::vector<uint32_t>(scene.patches.size(), 0));
   for (const auto& [x, y] : {std::pair{80u, 60u}, {10u, 10u}, {150u, 110u}}) {
     EXPECT_NEAR(d.direct(x, y).x, 3 + 0.5f * (8 + sky_irradiance), 1e-3);
@@ -154,9 +155,9 @@ TEST_F(Pictures, ShowASharpShadowAndNoneOnItself) {
 TEST_F(Pictures, ShowTheSkyWhereThereIsNoSurface) {
   ViewScene scene;
   addSheet(scene, {-1, 0, -1}, {0, 0, 2}, {2, 0, 0}, 2, 2);
-  const runtime::Sky sky{{1, 1, 1}, {{0, 0.5f, 0}, {0, 0, 0}, {0, 0, 0}}};
+  const runtime::Sky sky{{1, 1, 1}, {{0, 0.5f, 0}, {0, 0, 0}, {0, 0, 0}}, {{0, 0, 0, 2, 0}, {}, {}}};
   const Drawn d = draw(scene, {{0, 3, 0}, {0, 9, 0.001f}, 1}, {}, sky, {{}}, std::vector<uint32_t>(scene.patches.size(), 0));
-  EXPECT_NEAR(d.direct(80, 60).x, 3.14159265f * 1.5f, 1e-2);  // straight up
+  EXPECT_NEAR(d.direct(80, 60).x, 3.14159265f * 3.5f, 1e-2);  // straight up
   EXPECT_NEAR(d.direct(80, 60).y, 3.14159265f, 1e-3);
   EXPECT_EQ(d.direct(80, 60).w, 0);
   EXPECT_EQ(d.picture.difference[60 * 160 + 80], -1);
@@ -168,10 +169,10 @@ TEST_F(Pictures, InterpolateBetweenPatches) {
   addSheet(scene, {-8, 0, -8}, {0, 0, 16}, {16, 0, 0}, 16, 16, {1, 1, 1});
   std::vector<uint32_t> patch_slot;
   for (const formats::Node& n : scene.patches) patch_slot.push_back(n.centroid.x < 0 ? 0 : 1);
-  const Drawn d = draw(scene, {{0, 6, 0}, {0, 0, 0.001f}, 1}, {}, {}, {{{10, 10, 10, 0}, {10, 10, 10, 0}}, {}}, patch_slot);
+  const Drawn d = draw(scene, {{0, 6, 0}, {0, 0, 0.001f}, 1}, {}, {}, {{10, 10, 10, 0}, {}}, patch_slot);
   float largest_step = 0, lowest = 1e9f, highest = -1e9f;
   for (uint32_t x = 0; x + 1 < 160; ++x) {
-    const float a = d.direct(x, 60).x, b = d.direct(x + 1, 60).x;
+    const float a = d.bounced(x, 60).x, b = d.bounced(x + 1, 60).x;
     largest_step = std::max(largest_step, std::abs(a - b));
     lowest = std::min(lowest, a);
     highest = std::max(highest, a);

@@ -27,17 +27,15 @@ LocalMatrix smallMatrix() {
   return m;
 }
 
-TEST(ViewLight, GathersWhatArrivesFromEmissionAndFromAllRadiosity) {
+TEST(ViewLight, GathersWhatArrivesFromAllThatSurfacesReflect) {
   const LocalMatrix m = smallMatrix();
-  const std::vector<Vec4> emission{{0, 0, 0, 0}, {10, 0, 0, 0}, {0, 0, 0, 0}, {}};
-  const std::vector<Vec4> radiosity{{16, 2, 0, 0}, {12, 4, 0, 0}, {8, 8, 8, 0}, {}};
-  const auto light = gatherLight(m, emission, radiosity);
-  EXPECT_FLOAT_EQ(light[0].direct.x, 5);        // 10 * 4/8
-  EXPECT_FLOAT_EQ(light[0].bounced.x, 8);       // 12 * 4/8 + 8 * 2/8
-  EXPECT_FLOAT_EQ(light[0].bounced.z, 2);
-  EXPECT_FLOAT_EQ(light[1].bounced.x, 8);       // 16 * 8/16
-  EXPECT_FLOAT_EQ(light[2].bounced.x, 0);
-  EXPECT_FLOAT_EQ(light[3].bounced.x, 2);       // (1 * 8 + 3 * 0) / 4
+  const std::vector<Vec4> reflected{{16, 2, 0, 0}, {12, 4, 0, 0}, {8, 8, 8, 0}, {}};
+  const auto light = gatherLight(m, reflected);
+  EXPECT_FLOAT_EQ(light[0].x, 8);       // 12 * 4/8 + 8 * 2/8
+  EXPECT_FLOAT_EQ(light[0].z, 2);
+  EXPECT_FLOAT_EQ(light[1].x, 8);       // 16 * 8/16
+  EXPECT_FLOAT_EQ(light[2].x, 0);
+  EXPECT_FLOAT_EQ(light[3].x, 2);       // (1 * 8 + 3 * 0) / 4
 }
 
 TEST(ViewLight, ComparesOnlyActivePatchesNearTheEye) {
@@ -45,10 +43,10 @@ TEST(ViewLight, ComparesOnlyActivePatchesNearTheEye) {
   addSheet(scene, {0, 0, 0}, {0, 0, 3}, {1, 0, 0}, 3, 1, {0.5f, 0.5f, 0.5f});
   const LocalMatrix m = smallMatrix();
   const std::vector<uint32_t> patch_slot{0, 1, 2};
-  std::vector<shaders::Light> light(4);
-  light[0].bounced = {2, 2, 2, 0};  // reflects 1
-  light[1].bounced = {4, 4, 4, 0};  // reflects 2
-  light[2].bounced = {6, 6, 6, 0};  // reflects 3
+  std::vector<shaders::vec4> light(4);
+  light[0] = {2, 2, 2, 0};  // reflects 1
+  light[1] = {4, 4, 4, 0};  // reflects 2
+  light[2] = {6, 6, 6, 0};  // reflects 3
   const std::vector<double> source(9, 1.0);
   std::vector<double> full{2, 2, 2, 3, 3, 3, 5, 5, 5};  // bounced: 1, 2, 4; the third differs by 1
   const Vec3 eye{0.5f, 0, 0};
@@ -63,19 +61,20 @@ TEST(ViewLight, ComparesOnlyActivePatchesNearTheEye) {
   EXPECT_NEAR(all.difference[0], 0, 1e-6);
 }
 
-TEST(ViewLight, SourceIsEmissionAndReflectedSunAndSky) {
+TEST(ViewLight, SourceIsReflectedSunLampsAndSky) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 1}, {1, 0, 0}, 1, 1, {0.5f, 0.25f, 1}, {1, 2, 3});
-  scene.patches[0].sky = 256;  // half of 512 quanta
+  scene.patches[0].sky_fraction = 0.5f;
   scene.patches[0].sky_direction = {0, 0.5f, 0};
-  const runtime::Sky sky = skyIrradiance(scene.patches[0], {}) == Vec3{} ? runtime::Sky{{1, 1, 1}, {{0, 2, 0}, {0, 2, 0}, {0, 2, 0}}}
-                                                                         : runtime::Sky{};
+  scene.patches[0].sky_quadratic = {0, 0, 0, 0.25f, 0};
+  scene.lamps[0] = {1, 0, 2};
+  const runtime::Sky sky{{1, 1, 1}, {{0, 2, 0}, {0, 2, 0}, {0, 2, 0}}, {{0, 0, 0, 4, 0}, {0, 0, 0, 4, 0}, {0, 0, 0, 4, 0}}};
   const std::vector<float> exposure{0.5f};
   const auto m = patchSource(scene, exposure, {{0, 1, 0}, {4, 4, 4}}, sky);
-  const double sky_irradiance = 3.14159265 * 0.5 * (1 + 2 * 0.5);
-  EXPECT_NEAR(m[0], 1 + 0.5 * (2 + sky_irradiance), 1e-5);
-  EXPECT_NEAR(m[1], 2 + 0.25 * (2 + sky_irradiance), 1e-5);
-  EXPECT_NEAR(m[2], 3 + 1.0 * (2 + sky_irradiance), 1e-5);
+  const double sky_irradiance = 3.14159265 * 0.5 * (1 + 2 * 0.5 + 4 * 0.25);
+  EXPECT_NEAR(m[0], 0.5 * (2 + 1 + sky_irradiance), 1e-5);
+  EXPECT_NEAR(m[1], 0.25 * (2 + sky_irradiance), 1e-5);
+  EXPECT_NEAR(m[2], 1.0 * (2 + 2 + sky_irradiance), 1e-5);
 }
 
 }  // namespace

@@ -22,6 +22,7 @@ inline uint32_t addSheet(ViewScene& scene, Vec3 at, Vec3 u, Vec3 v, int nu, int 
       n.quanta = 512;
       const auto patch = static_cast<uint32_t>(scene.patches.size());
       scene.patches.push_back(n);
+      scene.lamps.push_back({});
       for (const Vec3 corner : {p, p + du, p + du + dv, p, p + du + dv, p + dv}) {
         scene.corners.push_back(corner);
         scene.bounds.add(corner);

@@ -36,7 +36,11 @@ PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
         rows.f.push_back(static_cast<float>(row.area_m2[k] / sum));
       }
     }
-    rows.sky.push_back(static_cast<float>(row.sky_m2) / pooled.area(i));  // as a world holds it: not sampled
+    // As a world holds them: not sampled.
+    rows.sky.push_back(std::min(1.0f, static_cast<float>(row.sky_m2) / areas[i]));
+    Vec3& lamps = rows.lamps.emplace_back();
+    for (size_t k = 0; k < row.column.size(); ++k)
+      lamps += set.patches[row.column[k]].emission * (static_cast<float>(row.area_m2[k]) / areas[i]);
     rows.start.push_back(rows.column.size());
   }
   return rows;
@@ -69,9 +73,8 @@ std::vector<double> sunAndSky(const PatchSet& set, const PatchRows& rows, std::s
   std::vector<double> source;
   for (size_t i = 0; i < set.patches.size(); ++i)
     for (int c = 0; c < 3; ++c)
-      source.push_back(static_cast<double>(set.patches[i].emission[c]) +
-                       static_cast<double>(set.patches[i].albedo[c]) *
-                           (sun[i] + std::numbers::pi * 2.0 * static_cast<double>(rows.sky[i])));
+      source.push_back(static_cast<double>(set.patches[i].albedo[c]) *
+                       (sun[i] + std::numbers::pi * 2.0 * static_cast<double>(rows.sky[i]) + static_cast<double>(rows.lamps[i][c])));
   return source;
 }
 
@@ -87,15 +90,12 @@ std::vector<double> sunOnPatches(const PatchSet& set, const RayCaster& caster) {
   return sun;
 }
 
-double reflectedDifference(const PatchSet& set, std::span<const double> a, std::span<const double> b) {
+double reflectedDifference(std::span<const double> a, std::span<const double> b) {
   double error = 0, norm = 0;
-  for (size_t i = 0; i < set.patches.size(); ++i)
-    for (size_t c = 0; c < 3; ++c) {
-      const size_t k = 3 * i + c;
-      const double reflected = b[k] - static_cast<double>(set.patches[i].emission[static_cast<int>(c)]);
-      error += (a[k] - b[k]) * (a[k] - b[k]);
-      norm += reflected * reflected;
-    }
+  for (size_t k = 0; k < b.size(); ++k) {
+    error += (a[k] - b[k]) * (a[k] - b[k]);
+    norm += b[k] * b[k];
+  }
   return norm > 0 ? std::sqrt(error / norm) : std::sqrt(error);
 }
 

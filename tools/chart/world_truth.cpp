@@ -13,24 +13,22 @@ using namespace runtime;
 
 Result<WorldTruth> solveWorldTruth(const formats::World& world, bool lamps) {
   WorldTruth t;
-  t.lamps = lamps;
+  t.lamps = Lamps(world.info());
+  if (!lamps) t.lamps.setAll({});
   const auto sun = sunIrradiance(world, normalized({0.4f, 0.8f, 0.3f}), {13.0f, 11.8f, 9.6f});
   if (!sun) return sun.error();
   auto areas = patchAreas(world);
   if (!areas) return areas.error();
   t.areas_m2 = std::move(*areas);
   t.sun = aggregateUp(world, t.areas_m2, *sun);
-  std::vector<double> source;
   for (const formats::TileInfo& info : world.tiles(0)) {
     auto strip = world.strip(info.id);
     if (!strip) return strip.error();
     t.patches.push_back(std::move(*strip));
-    for (uint32_t i = 0; i < info.nodes; ++i) {
-      const Vec3 m = t.source(t.patches.back().nodes[i], (*sun)[info.first_node + i]);
-      for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(m[c]));
-    }
   }
-  auto solved = solveFullWorld(world, source);
+  const auto source = fullSource(world, *sun, t.sky, t.lamps);
+  if (!source) return source.error();
+  auto solved = solveFullWorld(world, *source);
   if (!solved) return solved.error();
   t.radiosity = std::move(solved->radiosity);
   for (const double b : t.radiosity) t.rms += b * b;
@@ -59,9 +57,8 @@ Difference compare(const WorldTruth& truth, const LocalMatrix& matrix, std::span
       const double x[3] = {b.x, b.y, b.z}, direct[3] = {m.x, m.y, m.z};
       for (int c = 0; c < 3; ++c) {
         const double full = truth.radiosity[3 * size_t{range.first_node + i} + static_cast<size_t>(c)];
-        const double emitted = truth.lamps ? static_cast<double>(node.emission[c]) : 0;
         d.reflected += (x[c] - full) * (x[c] - full);
-        d.reflected_truth += (full - emitted) * (full - emitted);
+        d.reflected_truth += full * full;
         d.bounced += (full - direct[c]) * (full - direct[c]);
       }
     }
@@ -76,13 +73,17 @@ Vec4 meanOutside(const WorldTruth& truth, const LocalMatrix& matrix) {
 std::vector<Vec4> sourceOf(const WorldTruth& truth, const formats::World& world, const LocalMatrix& matrix,
                            std::span<const stream::StripPtr> active) {
   std::vector<Vec4> source(matrix.slots());
+  std::vector<Vec3> lamps;
   size_t t = 0;
   for (const auto& strip : active) {
     if (t == matrix.tiles.size() || matrix.tiles[t].id != strip->id) continue;
     const SlotRange& range = matrix.tiles[t++];
     const std::span<const Vec3> sun = truth.sun.tile(world, range.id);
+    lamps.resize(range.nodes);
+    truth.lamps.irradiance(strip->lamps, lamps);
     for (uint32_t i = 0; i < range.nodes; ++i) {
-      const Vec3 m = truth.source(strip->nodes[i], sun[i]);
+      const formats::Node& node = strip->nodes[i];
+      const Vec3 m = node.albedo * (sun[i] + lamps[i] + skyIrradiance(truth.sky, node));
       source[range.first_slot + i] = {m.x, m.y, m.z, 0};
     }
   }

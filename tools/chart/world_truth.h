@@ -1,4 +1,4 @@
-// What the run time is compared with: the double-precision solve of a whole world under sun and sky, and the sums of a
+// What the run time is compared with: the double-precision solve of a whole world under sun, sky and lamps, and the sums of a
 // comparison over the patches near an observer.
 #pragma once
 #include <cmath>
@@ -16,21 +16,17 @@ struct WorldTruth {
   std::vector<float> areas_m2;
   runtime::NodeValues sun;  // irradiance, all levels
   runtime::Sky sky{{1.1f, 1.4f, 1.9f}, {{0, 0.4f, 0}, {0, 0.5f, 0}, {0, 0.7f, 0}}};
-  std::vector<double> radiosity;  // 3 per patch
+  runtime::Lamps lamps;           // their switches
+  std::vector<double> radiosity;  // reflected, 3 per patch
   double rms = 0;                 // of radiosity, over patches and channels
-  bool lamps = false;
-
-  Vec3 source(const formats::Node& node, Vec3 direct) const {
-    return (lamps ? node.emission : Vec3{}) + node.albedo * (direct + skyIrradiance(sky, node));
-  }
 };
 
-// lamps: emission shines, too. Errors: unreadable strips or geometry.
+// lamps: what surfaces emit lights them, too. Errors: unreadable strips or geometry.
 Result<WorldTruth> solveWorldTruth(const formats::World& world, bool lamps);
 
 // Sums over patches and channels of a comparison with the truth.
 struct Difference {
-  double reflected = 0, reflected_truth = 0;  // squares; emission aside
+  double reflected = 0, reflected_truth = 0;  // squares
   double bounced = 0;                         // squares of the truth's indirect part alone
   uint32_t patches = 0;
   double meanTruth() const { return patches ? std::sqrt(reflected_truth / (3.0 * patches)) : 0; }

@@ -28,7 +28,7 @@ struct Furnace {
   std::unique_ptr<stream::Streamer> streamer;
   LocalMatrix matrix;
   std::vector<Vec4> source;
-  double closed_form = 0;  // of A B over all patches and channels
+  double closed_form = 0;  // of A R over all patches and channels: what is reflected, B - M
 };
 
 Result<Furnace> furnaceOf(float albedo, const StabilityOptions& options) {
@@ -48,20 +48,25 @@ Result<Furnace> furnaceOf(float albedo, const StabilityOptions& options) {
   if (!matrix) return matrix.error();
   f.matrix = std::move(*matrix);
   f.source.assign(f.matrix.slots(), {});
-  for (const auto& strip : f.streamer->active())
+  const Lamps all(f.baked.world().info());
+  std::vector<Vec3> lamps;
+  for (const auto& strip : f.streamer->active()) {
+    lamps.resize(strip->nodes.size());
+    all.irradiance(strip->lamps, lamps);
     for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
       const uint32_t slot = f.matrix.slotOf(strip->id.level, strip->first_node + i);
-      const Vec3 m = strip->nodes[i].emission;
-      f.source[slot] = {m.x, m.y, m.z, 0};
+      const Vec3 m = strip->nodes[i].emission, lit = strip->nodes[i].albedo * lamps[i];
+      f.source[slot] = {lit.x, lit.y, lit.z, 0};
       if (strip->id.level == 0)
         f.closed_form += static_cast<double>(f.matrix.area_m2[slot]) *
-                         (static_cast<double>(m.x) + static_cast<double>(m.y) + static_cast<double>(m.z)) /
-                         (1 - static_cast<double>(albedo));
+                         (static_cast<double>(m.x) + static_cast<double>(m.y) + static_cast<double>(m.z)) *
+                         static_cast<double>(albedo) / (1 - static_cast<double>(albedo));
     }
+  }
   return f;
 }
 
-// Sum of A B over the closed form, minus 1.
+// Sum of A R over the closed form, minus 1.
 Result<double> energyOf(const Furnace& f, Solver& solver, int iterations) {
   if (auto taken = solver.update(f.matrix, {.any = true, .renumbered = true}); !taken) return taken.error();
   if (auto lit = solver.setSource(f.source); !lit) return lit.error();
@@ -96,14 +101,9 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
                energy && std::isfinite(*energy) ? *energy : std::numeric_limits<double>::infinity(),
                energy ? "at albedo " + numberText(rho) + " " + clamped : energy.error().message);
     };
-    std::vector<double> source;
-    for (const formats::TileInfo& info : furnace->baked.world().tiles(0)) {
-      const auto strip = furnace->baked.world().strip(info.id);
-      if (!strip) return strip.error();
-      for (const formats::Node& node : strip->nodes)
-        for (int c = 0; c < 3; ++c) source.push_back(static_cast<double>(node.emission[c]));
-    }
-    const auto full = solveFullWorld(furnace->baked.world(), source,
+    const auto source = fullSource(furnace->baked.world(), {}, {}, Lamps(furnace->baked.world().info()));
+    if (!source) return source.error();
+    const auto full = solveFullWorld(furnace->baked.world(), *source,
                                      {.tolerance = 1e-10, .max_iterations = kMostIterations, .threads = 1});
     if (!full) return full.error();
     double sum = 0;

@@ -212,9 +212,9 @@ Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const Sta
     if (options.quick && rays > 2048) break;
     if (progress) progress("rays: town, " + numberText(rays));
     all.points.push_back(
-        {static_cast<double>(rays), reflectedDifference(cast->set, light(rays, 0, options.seed), truth)});
+        {static_cast<double>(rays), reflectedDifference(light(rays, 0, options.seed), truth)});
     sampled.points.push_back(
-        {static_cast<double>(rays), reflectedDifference(cast->set, light(rays, 512, options.seed), truth)});
+        {static_cast<double>(rays), reflectedDifference(light(rays, 512, options.seed), truth)});
   }
   Chart noise = raysChart("error-rays-town", "Error against rays: a town of " + patches + " patches",
                           "relative L2 error of reflected radiosity",

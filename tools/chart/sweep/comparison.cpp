@@ -93,7 +93,7 @@ void Comparison::addPlace(const MeasuredWorld& world, const LitWorld& light, std
       s.got[channel] = got[3 * k + channel];
       s.truth[channel] = static_cast<double>(truth.reflected[c]);
       s.noise[channel] = static_cast<double>(truth.error[c]);
-      s.full[channel] = light.full[3 * size_t{patch} + channel] - static_cast<double>(light.lamps.mean[0][patch][c]);
+      s.full[channel] = light.full[3 * size_t{patch} + channel];
     }
     samples.push_back(s);
   }

@@ -15,11 +15,7 @@ Result<Rows> rowsOf(MeasuredWorld& world, const Sweep& sweep) {
   for (const Lighting& light : sweep.lights) {
     const auto lit = world.lit(light, sweep.standard.shadow_rays, nullptr);
     if (!lit) return lit.error();
-    std::vector<double> reflected = (*lit)->full;
-    for (size_t p = 0; p < world.patches().size(); ++p)
-      for (int c = 0; c < 3; ++c)
-        reflected[3 * p + static_cast<size_t>(c)] -= static_cast<double>((*lit)->lamps.mean[0][p][c]);
-    rows.reflected.push_back(std::move(reflected));
+    rows.reflected.push_back((*lit)->full);
   }
   return rows;
 }
@@ -67,7 +63,7 @@ Result<void> splitSources(const TraceSettings& trace, Sweep& sweep, const Rows* 
             other = found->second;
         for (int c = 0; c < 3; ++c) {
           const size_t i = 3 * k + static_cast<size_t>(c), from = 3 * size_t{patches[k]} + static_cast<size_t>(c);
-          const double full = (*lit)->full[from] - static_cast<double>((*lit)->lamps.mean[0][patches[k]][c]);
+          const double full = (*lit)->full[from];
           const double better = other == bake::kNone ? full : reference->reflected[l][3 * size_t{other} + static_cast<size_t>(c)];
           const double s = static_cast<double>(node.albedo[c] * ((*lit)->sun.mean[0][patches[k]][c] - traced.sun[c]));
           best.push_back(better);

@@ -127,7 +127,7 @@ class PlaceErrors {
       const double* mine = got->data() + 3 * k;
       if (!truth[k].buried) errors[patches[k]] = static_cast<float>(errorOf(mine, truth[k], w.mean));
       radiosity[patches[k]] = Vec3{static_cast<float>(mine[0]), static_cast<float>(mine[1]), static_cast<float>(mine[2])} +
-                              (*lit)->lamps.mean[0][patches[k]];
+                              (*lit)->lamps.emission(world_.patches()[patches[k]]);
     }
     double noise = 0, light_of_all = 0;
     for (const PatchTruth& t : truth)
@@ -290,8 +290,7 @@ view::Picture litOf(const SeenPatches& seen, std::span<const Vec3> radiosity, co
     const Vec3 w = seen.direction[i];
     const Vec3 b = p != PathTracer::kNoPatch
                        ? radiosity[p]
-                       : max((sky.l0 + Vec3{dot(sky.l1[0], w), dot(sky.l1[1], w), dot(sky.l1[2], w)}) *
-                                 std::numbers::pi_v<float>, {});
+                       : max(runtime::skyRadiance(sky, w) * std::numbers::pi_v<float>, {});
     shown.push_back({b.x, b.y, b.z, p != PathTracer::kNoPatch ? 1.0f : 0.0f});
   }
   return view::toneMapped(shown, seen.width, seen.height, seen.samples, std::exp2(view::exposureStops(shown)));

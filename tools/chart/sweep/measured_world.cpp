@@ -67,30 +67,29 @@ void MeasuredWorld::lookAt(std::span<const Place> places, uint32_t most) {
     if (lit) lit->traced.clear();
 }
 
-LitWorld MeasuredWorld::direct(const Lighting& light, uint32_t shadow_rays) const {
+Result<LitWorld> MeasuredWorld::direct(const Lighting& light, uint32_t shadow_rays) const {
   LitWorld made;
   made.light = light;
   std::vector<uint32_t> all(nodes_.size());
   std::iota(all.begin(), all.end(), 0u);
   const std::vector<Vec3> sun = tracer_->sunIrradiance(all, light, shadow_rays);
-  std::vector<Vec3> lamps;
+  made.lamps = light.switches(world_->info());
+  auto direct = runtime::arriving(*world_, sun, light.sky, made.lamps);
+  if (!direct) return direct.error();
+  made.direct = std::move(*direct);
   made.source.reserve(3 * nodes_.size());
-  for (size_t p = 0; p < nodes_.size(); ++p) {
-    const formats::Node& node = nodes_[p];
-    lamps.push_back(node.emission * light.lampsAt(node.centroid));
-    made.direct.push_back(sun[p] + runtime::skyIrradiance(light.sky, node));
-    const Vec3 m = lamps.back() + node.albedo * made.direct.back();
-    for (int c = 0; c < 3; ++c) made.source.push_back(static_cast<double>(m[c]));
-  }
+  for (size_t p = 0; p < nodes_.size(); ++p)
+    for (int c = 0; c < 3; ++c) made.source.push_back(static_cast<double>(nodes_[p].albedo[c] * made.direct[p][c]));
   made.sun = runtime::aggregateUp(*world_, areas_m2_, sun);
-  made.lamps = runtime::aggregateUp(*world_, areas_m2_, lamps);
   return made;
 }
 
 Result<const LitWorld*> MeasuredWorld::lit(const Lighting& light, uint32_t shadow_rays, const TraceSettings* trace) {
   std::unique_ptr<LitWorld>& kept = lit_[{light.name, shadow_rays}];
   if (!kept) {
-    auto made = std::make_unique<LitWorld>(direct(light, shadow_rays));
+    auto lit_directly = direct(light, shadow_rays);
+    if (!lit_directly) return lit_directly.error();
+    auto made = std::make_unique<LitWorld>(std::move(*lit_directly));
     auto full = runtime::solveFullWorld(*world_, made->source);
     if (!full) return full.error();
     made->full = std::move(full->radiosity);

@@ -27,10 +27,11 @@ bool isSeen(std::span<const Place> places, size_t at, const Lighting& light);
 // One light situation of one world.
 struct LitWorld {
   Lighting light;
-  runtime::NodeValues sun, lamps;  // direct irradiance and emission, W/m2, all levels
-  std::vector<Vec3> direct;        // irradiance of patches without a bounce but for what comes through their rows, W/m2
+  runtime::NodeValues sun;         // direct irradiance, W/m2, all levels
+  runtime::Lamps lamps;            // their switches
+  std::vector<Vec3> direct;        // irradiance of patches without a bounce, W/m2: sun, sky and lamps
   std::vector<double> source;      // M, 3 per patch
-  std::vector<double> full;        // radiosity of the double-precision solve of all level-0 rows, 3 per patch
+  std::vector<double> full;        // what is reflected, by the double-precision solve of all level-0 rows, 3 per patch
   std::vector<double> irradiance;  // of the same solve, 3 per patch
   std::vector<PatchTruth> traced;  // one per patch of `looked_at`
 };
@@ -61,7 +62,7 @@ class MeasuredWorld {
   size_t placesLookedAt() const { return of_place_.size(); }
 
   // Direct light alone: `full`, `irradiance` and `traced` stay empty. Nothing is kept.
-  LitWorld direct(const Lighting& light, uint32_t shadow_rays) const;
+  Result<LitWorld> direct(const Lighting& light, uint32_t shadow_rays) const;
   // Direct light, full solve and, if asked, path tracing. Kept by light and shadow rays.
   Result<const LitWorld*> lit(const Lighting& light, uint32_t shadow_rays, const TraceSettings* trace);
 

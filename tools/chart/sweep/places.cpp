@@ -36,8 +36,7 @@ LitSurface litSurface(const LitWorld& lit, const std::vector<formats::Node>& pat
   double power = 0, squares = 0, most = 0;
   size_t brightest = 0;
   for (size_t p = 0; p < patches.size(); ++p) {
-    for (int c = 0; c < 3; ++c)
-      b[p] += lit.full[3 * p + static_cast<size_t>(c)] - static_cast<double>(lit.lamps.mean[0][p][c]);
+    for (size_t c = 0; c < 3; ++c) b[p] += lit.full[3 * p + c];
     const double reflected = static_cast<double>(patches[p].area_m2) * b[p];
     power += reflected;
     squares += reflected * b[p];
@@ -121,34 +120,20 @@ size_t middleOf(const LitSurface& part) {
   return static_cast<size_t>(std::min_element(part.begin(), part.end(), nearer) - part.begin());
 }
 
-// The lamps nearest to an observer: an emitting patch and all that follow from one to the next within two cells.
-std::optional<Lighting> oneRoomLit(const Lighting& lamps, const MeasuredWorld& world, std::span<const Place> places) {
-  std::vector<const formats::Node*> emitters;
-  for (const formats::Node& n : world.patches())
-    if (!(n.emission == Vec3{})) emitters.push_back(&n);
-  size_t first = 0;
+// The lamp group of the emitting patch nearest to an observer; none where all lamps are of one group.
+std::optional<Lighting> oneGroupLit(const Lighting& lamps, const MeasuredWorld& world, std::span<const Place> places) {
+  if (world.world().info().lamp_groups.size() < 2) return std::nullopt;
+  uint16_t group = formats::kNoLampGroup;
   float nearest = std::numeric_limits<float>::infinity();
-  for (size_t e = 0; e < emitters.size(); ++e)
+  for (const formats::Node& n : world.patches()) {
+    if (n.emission == Vec3{}) continue;
     for (const Place& place : places)
-      if (const float d = length(emitters[e]->centroid - place.observer); d < nearest) nearest = d, first = e;
-  const float reach = 2 * world.world().info().cell_m;
-  std::vector<bool> lit(emitters.size(), false);
-  std::vector<size_t> next;
-  if (!emitters.empty()) next.push_back(first), lit[first] = true;
-  Lighting one = lamps;
-  one.name = kOneRoomLit;
-  one.lit = Box{};
-  size_t count = next.size();
-  while (!next.empty()) {
-    const size_t e = next.back();
-    next.pop_back();
-    one.lit.add(emitters[e]->centroid);
-    for (size_t f = 0; f < emitters.size(); ++f)
-      if (!lit[f] && length(emitters[f]->centroid - emitters[e]->centroid) < reach) lit[f] = true, ++count, next.push_back(f);
+      if (const float d = length(n.centroid - place.observer); d < nearest) nearest = d, group = n.lamp_group;
   }
-  if (count == 0 || count == emitters.size()) return std::nullopt;  // no lamp, or all of them are one
-  const float half = world.world().info().cell_m / 2;
-  one.lit = {one.lit.lo - Vec3{half, half, half}, one.lit.hi + Vec3{half, half, half}};
+  if (group == formats::kNoLampGroup) return std::nullopt;
+  Lighting one = lamps;
+  one.name = kOneGroupLit;
+  one.groups = {group};
   return one;
 }
 
@@ -194,7 +179,7 @@ std::vector<Lighting> lightsOf(const SweepOptions& options, const MeasuredWorld&
     }
     lights.push_back(light);
     if (light.lamps > 0)
-      if (auto one = oneRoomLit(light, world, places)) lights.push_back(*one);
+      if (auto one = oneGroupLit(light, world, places)) lights.push_back(*one);
   }
   return lights;
 }

@@ -65,13 +65,15 @@ Result<void> RunningCut::moveTo(Vec3 observer) {
 Result<void> RunningCut::setLight(const LitWorld& light) {
   const LocalMatrix& m = assembler_->matrix();
   source_.assign(m.slots(), {});
+  std::vector<Vec3> lamps;
   for (size_t t = 0; t < m.tiles.size(); ++t) {
     const SlotRange& range = m.tiles[t];
-    const std::span<const Vec3> sun = light.sun.tile(world_->world(), range.id),
-                                lamps = light.lamps.tile(world_->world(), range.id);
+    const std::span<const Vec3> sun = light.sun.tile(world_->world(), range.id);
+    lamps.resize(range.nodes);
+    light.lamps.irradiance(assembler_->strip(t).lamps, lamps);
     for (uint32_t i = 0; i < range.nodes; ++i) {
       const formats::Node& node = assembler_->strip(t).nodes[i];
-      const Vec3 b = lamps[i] + node.albedo * (sun[i] + skyIrradiance(light.light.sky, node));
+      const Vec3 b = node.albedo * (sun[i] + lamps[i] + skyIrradiance(light.light.sky, node));
       source_[range.first_slot + i] = {b.x, b.y, b.z, 0};
     }
   }

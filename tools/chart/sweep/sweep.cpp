@@ -243,7 +243,7 @@ Result<Sweep> runSweep(const SweepOptions& options, const Say& say) {
   sweep.places = std::move(*places);
   sweep.lights = lightsOf(options, *sweep.world, sweep.places, say);
   for (const Lighting& light : sweep.lights) {
-    if (light.name != kOneRoomLit) continue;
+    if (light.name != kOneGroupLit) continue;
     const auto own = placesInLight(light, *sweep.world, sweep.standard);
     if (!own) return own.error();
     sweep.places.insert(sweep.places.end(), own->begin(), own->end());

@@ -12,7 +12,7 @@
 
 namespace ff::chart {
 
-inline constexpr const char* kOneRoomLit = "one room lit";
+inline constexpr const char* kOneGroupLit = "one lamp group lit";
 
 struct SweepOptions {
   std::string scene_path;
@@ -26,7 +26,7 @@ struct SweepOptions {
   std::vector<Place> path;                // observers; reach is filled in by the sweep. Empty: spread over the surface
   int observers = 12;                     // if the path is empty
   std::vector<Lighting> lights;           // to be path traced; at least one. One of lamps is left out where there are none, and
-                                          // followed by one of the lamps nearest to an observer alone: kOneRoomLit, looked at
+                                          // followed by one of the lamp group nearest to an observer alone: kOneGroupLit, looked at
                                           // from places of its own
   uint64_t seed = 1;
 };

@@ -116,13 +116,16 @@ class Lights {
     LitWorld world;
     Light settled;
   };
-  Result<const Lit*> make(const Lighting& light) { return take(world_.direct(light, shadow_rays_)); }
+  Result<const Lit*> make(const Lighting& light) {
+    auto lit = world_.direct(light, shadow_rays_);
+    if (!lit) return lit.error();
+    return take(std::move(*lit));
+  }
   // The same light with other lamps.
   Result<const Lit*> dimmed(const Lit& lit, float factor) {
     LitWorld w = lit.world;
     w.light.lamps *= factor;
-    for (auto& level : w.lamps.mean)
-      for (Vec3& v : level) v *= factor;
+    w.lamps = w.light.switches(world_.world().info());
     return take(std::move(w));
   }
   bool isBlack(const Lit& lit) const { return !(observed_.norm(lit.settled) > 1e-4 * brightest_); }

@@ -11,6 +11,7 @@
 #include <string>
 #include <thread>
 
+#include "bake/lamp_groups.h"
 #include "tools/chart/truth/sampling.h"
 #include "tools/chart/truth/scene_surface.h"
 
@@ -73,6 +74,7 @@ struct BatchSums {
 
 struct PathTracer::State {
   const bake::Scene* scene = nullptr;
+  bake::LampGroups lamp_groups;  // by material
   RTCDevice device = nullptr;
   RTCScene solid = nullptr;    // the scene's triangles
   RTCScene drawing = nullptr;  // the world's drawing geometry
@@ -194,12 +196,9 @@ struct PathTracer::State {
     const Vec3 a = scene->positions[v[0]];
     return a + (scene->positions[v[1]] - a) * hit.hit.u + (scene->positions[v[2]] - a) * hit.hit.v;
   }
+  uint16_t groupOf(uint32_t t) const { return lamp_groups.of_material[scene->triangles[t].material]; }
   bool isDoubleSided(uint32_t t) const { return scene->materials[scene->triangles[t].material].double_sided; }
 
-  Vec3 skyRadiance(const runtime::Sky& sky, Vec3 w) const {
-    const Vec3 l = sky.l0 + Vec3{dot(sky.l1[0], w), dot(sky.l1[1], w), dot(sky.l1[2], w)};
-    return l;
-  }
   Vec3 sunOn(Vec3 point, Vec3 normal, const Lighting& light, uint64_t& cast_rays) const {
     const float cosine = light.hasSun() ? dot(normal, light.to_sun) : 0.0f;
     if (!(cosine > 0)) return {};
@@ -215,7 +214,7 @@ struct PathTracer::State {
       const auto& v = scene->triangles[t].v;
       const Vec3 a = scene->positions[v[0]], ab = scene->positions[v[1]] - a, ac = scene->positions[v[2]] - a;
       const float area = 0.5f * length(cross(ab, ac));
-      const float power = area * (radiance.x + radiance.y + radiance.z) * light.lampsAt(a + (ab + ac) / 3);
+      const float power = area * (radiance.x + radiance.y + radiance.z) * light.lampsOf(groupOf(t));
       if (power > 0) emitters.push_back({t, a, ab, ac, normals[t], area, power, isDoubleSided(t)});
     }
     return emitters;
@@ -267,7 +266,7 @@ struct PathTracer::State {
     ++cast_rays;
     if (!open(point, w, distance * (1 - 1e-4f))) return {};
     const float density = lampDensity(lamps, emitter.triangle, distance, lamp_cosine), reflected = cosine / kPi;
-    const Vec3 radiance = surfaceAt(*scene, emitter.triangle, u, v).radiance * light.lampsAt(at);
+    const Vec3 radiance = surfaceAt(*scene, emitter.triangle, u, v).radiance * light.lampsOf(groupOf(emitter.triangle));
     return radiance * (cosine / (density + reflected));  // L cos / density, times density / (density + reflected)
   }
 
@@ -288,7 +287,7 @@ struct PathTracer::State {
       ++cast_rays;
       const RTCRayHit hit = cast(solid, point, direction, std::numeric_limits<float>::infinity());
       if (hit.hit.geomID == RTC_INVALID_GEOMETRY_ID) {
-        const Vec3 e = throughput * skyRadiance(light.sky, direction) * kPi;
+        const Vec3 e = throughput * runtime::skyRadiance(light.sky, direction) * kPi;
         arrived.all += e;
         if (bounce == 0) arrived.direct += e;
         break;
@@ -303,7 +302,7 @@ struct PathTracer::State {
       const Vec3 normal = front ? normals[t] : normals[t] * -1.0f;
       const Vec3 at = pointOf(hit);
       const float asked = lampDensity(lamps, t, hit.ray.tfar, std::abs(dot(normals[t], direction)));
-      const Vec3 e = throughput * surface.radiance * (kPi * light.lampsAt(at) * reflected / (reflected + asked));
+      const Vec3 e = throughput * surface.radiance * (kPi * light.lampsOf(groupOf(t)) * reflected / (reflected + asked));
       arrived.all += e;
       if (bounce == 0) arrived.direct += e;
       throughput = throughput * surface.albedo;
@@ -437,6 +436,7 @@ struct PathTracer::State {
 Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::World& world) {
   auto state = std::make_unique<State>();
   state->scene = &scene;
+  state->lamp_groups = bake::groupLamps(scene);
   state->device = rtcNewDevice(nullptr);
   if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
   rtcSetDeviceErrorFunction(
