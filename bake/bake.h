@@ -48,7 +48,7 @@ struct BakeStats {
   uint64_t triangles = 0, rays = 0;
   double area_m2 = 0;            // exposed: not inside another solid
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
-  double buried_fraction = 0;    // of the whole area; pockets as well
+  double buried_fraction = 0;    // of the whole area; sealed surface as well
   std::vector<LevelStats> levels;
   std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected

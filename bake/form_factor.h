@@ -5,7 +5,7 @@
 //
 // Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
 // all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).
-// So does one that sees a pocket (pieces.h): no light gets in or out there, so it lies inside.
+// So does one that sees sealed surface (sealed.h): no light gets in or out there, so it lies inside.
 #pragma once
 #include <algorithm>
 #include <array>
