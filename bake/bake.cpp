@@ -18,6 +18,7 @@
 
 #include "bake/estimate.h"
 #include "bake/form_factor.h"
+#include "bake/not_modelled.h"
 #include "bake/patch_size.h"
 #include "bake/patches.h"
 #include "bake/pool.h"
@@ -96,6 +97,7 @@ struct Sampling {
   double deviation = 0;  // see WorldInfo::row_total_deviation
   std::vector<std::pair<uint32_t, float>> off;  // patches whose rows do not add up, and by how much they miss
   uint64_t clamped = 0;
+  std::vector<uint32_t> clamped_patches;  // by number, of level 0
 };
 
 // Appends what a row gets of each lamp group, relative to the group's emission.
@@ -159,7 +161,10 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     appendLamps(row, exchange.area(n), lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
     const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
     const float most = seen > 0 ? kMostReflected / seen : 1;
-    if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) ++sampling.clamped;
+    if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) {
+      ++sampling.clamped;
+      if (id.level == 0) sampling.clamped_patches.push_back(n);
+    }
     node.albedo = ff::min(node.albedo, {most, most, most});
     strip.nodes.push_back(node);
     for (size_t k = 0; k < sampled.column.size(); ++k) {
@@ -338,6 +343,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
   double deviation = 0;
   std::vector<std::pair<uint32_t, float>> off;
+  std::vector<uint32_t> lowered;  // patches whose albedo was lowered, by number
   stats.levels.resize(hierarchy.levels());
   {
     uint64_t tiles_total = 0;
@@ -364,6 +370,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
           deviation = std::max(deviation, sampling[k].deviation);
           stats.clamped_nodes += sampling[k].clamped;
           off.insert(off.end(), sampling[k].off.begin(), sampling[k].off.end());
+          lowered.insert(lowered.end(), sampling[k].clamped_patches.begin(), sampling[k].clamped_patches.end());
           level.entries += (*encoded[k])->info.entries;
           level.stored_bytes += (*encoded[k])->info.stored_bytes;
           if (auto ok = writer->addStrip(std::move(**encoded[k])); !ok) return ok.error();
@@ -388,6 +395,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
         const Patch& patch = set->patches[patch_of[i]];
         for (uint32_t k = 0; k < patch.triangles; ++k) {
           const PatchTriangle& triangle = set->triangles[patch.first_triangle + k];
+          if (isSeenThrough(scene.materials[scene.triangles[triangle.source].material])) continue;
           for (const Vec3& corner : {triangle.a, triangle.b, triangle.c}) geometry.positions.push_back(corner);
           geometry.patch.push_back(static_cast<uint8_t>(i - tiles[t]));
         }
@@ -416,8 +424,12 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.triangles = scene.triangles.size();
   info.absorbed_fraction = stats.absorbed_fraction;
   info.lamp_groups = lamp_groups;
+  info.lights = scene.lights;
   if (auto ok = writer->finish(info, hierarchy.parents, cells, buildSpatialIndex(cell_tiles, set->cell_m)); !ok)
     return ok.error();
+  stats.not_modelled = notModelled(scene);
+  for (uint32_t& i : lowered) i = patch_of[i];
+  if (auto line = loweredAlbedos(scene, *set, lowered)) stats.not_modelled.push_back(std::move(*line));
   stats.seconds = since(began);
   return stats;
 }

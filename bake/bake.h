@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "bake/not_modelled.h"
 #include "bake/scene.h"
 #include "bake/scene_cleanup.h"
 #include "formats/layout.h"
@@ -52,11 +53,12 @@ struct BakeStats {
   std::vector<LevelStats> levels;
   std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
+  std::vector<NotModelled> not_modelled;
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 5;
+inline constexpr uint32_t kBakeCode = 6;
 
 // WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);

@@ -4,13 +4,12 @@
 #include <array>
 
 #include "bake/gltf_meshopt.h"
-#include "bake/gltf_reduce.h"
 
 namespace ff::bake::gltf {
 namespace {
 
 // Extensions that a file may require. Those that change geometry or diffuse light are read; the others cannot change
-// what a radiosity baker sees, or only an image, whose absence is a warning.
+// what a radiosity baker sees.
 constexpr std::array kSupported = {"KHR_draco_mesh_compression",
                                    "KHR_mesh_quantization",
                                    "KHR_texture_transform",
@@ -24,10 +23,7 @@ constexpr std::array kSupported = {"KHR_draco_mesh_compression",
                                    "KHR_animation_pointer",
                                    "KHR_node_hoverability",
                                    "KHR_node_selectability",
-                                   "KHR_texture_basisu",
                                    "EXT_texture_webp",
-                                   "EXT_texture_avif",
-                                   "MSFT_texture_dds",
                                    "KHR_xmp_json_ld",
                                    "EXT_mesh_features",
                                    "EXT_instance_features",
@@ -59,7 +55,8 @@ void checkExtensions(const Item& file) {
       const auto text = name.get<std::string>();
       if (text.compare(0, 14, "KHR_materials_") == 0) continue;
       if (std::find(kSupported.begin(), kSupported.end(), text) == kSupported.end())
-        refuse(list, "\"" + printable(text) + "\" is not supported", "export without it");
+        refuse(list, "\"" + printable(text) + "\" is not supported",
+               text.find("_texture_") == std::string::npos ? "export without it" : "export its pictures as PNG, JPEG or WebP");
     }
   }
 }
@@ -116,7 +113,8 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
 }
 
 // Images are read later and only where a surface shows them; here they become sources, textures and samplers.
-Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource>& images, Json& samplers) {
+Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource>& images,
+                    std::vector<std::vector<uint32_t>>& texture_images, Json& samplers) {
   for (const Item& item : file.items("images", "image")) {
     ImageSource source;
     if (const auto view = item.reference("bufferView", view_count, "bufferView")) source.view = static_cast<int>(*view);
@@ -138,7 +136,16 @@ Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource
   Json out = Json::array();
   for (const Item& item : file.items("textures", "texture")) {
     Json reduced = Json::object();
-    if (const auto source = item.reference("source", images.size(), "image")) reduced["source"] = *source;
+    // What an extension names comes first where it can be read; else it is what the texture has besides a fallback.
+    std::vector<uint32_t> sources;
+    const auto add = [&](const Item& holder) {
+      if (const auto source = holder.reference("source", images.size(), "image")) sources.push_back(*source);
+    };
+    if (const auto webp = item.extension("EXT_texture_webp")) add(*webp);
+    add(item);
+    for (const char* other : {"KHR_texture_basisu", "EXT_texture_avif", "MSFT_texture_dds"})
+      if (const auto extension = item.extension(other)) add(*extension);
+    texture_images.push_back(std::move(sources));
     if (const auto sampler = item.reference("sampler", samplers.size(), "sampler")) reduced["sampler"] = *sampler;
     out.push_back(std::move(reduced));
   }
@@ -199,11 +206,12 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
     Json reduced = {{"asset", {{"version", "2.0"}}}};
     std::vector<AccessorFacts> accessors;
     reduced["accessors"] = reduceAccessors(file, storage, accessors);
-    reduced["textures"] = reduceTextures(file, storage.views.size(), out.images, reduced["samplers"]);
-    reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), budget, warnings);
+    reduced["textures"] = reduceTextures(file, storage.views.size(), out.images, out.texture_images, reduced["samplers"]);
+    reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), budget, out.material_facts, warnings);
     reduced["meshes"] = reduceMeshes(file, accessors, reduced["materials"].size(), storage.views.size(), warnings);
     reduced["nodes"] = reduceNodes(file, accessors, reduced["meshes"].size(), out.roots);
     out.objects = readObjects(file);
+    out.lights = readLights(file, warnings);
     out.buffer_present = storage.present;
     hand(storage, reduced);
     text = reduced.dump(-1, ' ', false, Json::error_handler_t::replace);

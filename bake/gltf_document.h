@@ -12,7 +12,9 @@
 #include <vector>
 
 #include "bake/gltf_container.h"
+#include "bake/gltf_lights.h"
 #include "bake/gltf_objects.h"
+#include "bake/gltf_reduce.h"
 
 namespace ff::bake::gltf {
 
@@ -23,12 +25,15 @@ struct ImageSource {
 
 struct Document {
   // Only buffers, bufferViews, accessors, meshes (POSITION, TEXCOORD_n, COLOR_0, indices), materials, textures,
-  // samplers, nodes and scenes. Materials: spec-gloss is already metallic-roughness, emissiveStrength is multiplied
-  // into emissiveFactor, BLEND and transmission are already MASK. Nodes form trees: each has at most one parent. A
+  // samplers, nodes and scenes. Materials: the diffuse part of spec-gloss is the base colour, emissiveStrength is
+  // multiplied into emissiveFactor; the rest is in material_facts. Nodes form trees: each has at most one parent. A
   // Draco primitive has no `indices`; its extension holds bufferView, attributes, indexCount and vertexCount.
   tinygltf::Model model;
   std::vector<ImageSource> images;
   Objects objects;
+  std::vector<std::vector<uint32_t>> texture_images;  // of each texture: its images, the preferred one first
+  std::vector<MaterialFacts> material_facts;          // of each material
+  Lights lights;
   std::vector<bool> buffer_present;  // buffers without data may be declared; they must not be read
   std::vector<uint32_t> roots;       // of the scene to load
   std::string folder;

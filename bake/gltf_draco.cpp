@@ -43,14 +43,14 @@ HeaderCounts peek(const Bytes& bytes) {
   return out;
 }
 
-Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint32_t id, const std::string& place,
-                         Budget& budget) {
+Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint32_t id, bool normalized,
+                         const std::string& place, Budget& budget) {
   const draco::PointAttribute* attribute = mesh.GetAttributeByUniqueId(id);
   if (!attribute) refuse(place, name + ": the Draco data has no attribute with id " + std::to_string(id), kRemedy);
   const uint32_t components = name == "POSITION"  ? 3
                               : name == "COLOR_0" ? static_cast<uint32_t>(attribute->num_components())
                                                   : 2;
-  if (static_cast<uint32_t>(attribute->num_components()) != components || components < 2 || components > 4)
+  if (static_cast<uint32_t>(attribute->num_components()) != components || components < (name == "COLOR_0" ? 3 : 2) || components > 4)
     refuse(place, name + ": the Draco attribute has " + std::to_string(attribute->num_components()) + " components",
            kRemedy);
   budget.take(uint64_t{mesh.num_points()} * components * sizeof(float), place);
@@ -61,6 +61,15 @@ Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint3
       refuse(place, name + ": Draco vertex " + std::to_string(p) + " has no value", kRemedy);
     if (!attribute->ConvertValue<float>(value, static_cast<int8_t>(components), &values[size_t{p} * components]))
       refuse(place, name + ": the Draco attribute cannot be read as numbers", kRemedy);
+  }
+  // What the accessor says counts; Draco's own flag, where it is set, has been followed already.
+  if (normalized && !attribute->normalized()) {
+    const float largest = attribute->data_type() == draco::DT_UINT8    ? 255.0f
+                          : attribute->data_type() == draco::DT_INT8   ? 127.0f
+                          : attribute->data_type() == draco::DT_UINT16 ? 65535.0f
+                          : attribute->data_type() == draco::DT_INT16  ? 32767.0f
+                                                                       : 1.0f;
+    for (float& v : values) v /= largest;
   }
   return Elements(std::move(values), components, place + ": Draco " + name);
 }
@@ -119,9 +128,11 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
     out.triangles.push_back(triangle);
   }
   const tinygltf::Value& ids = extension.Get("attributes");
-  for (const std::string& name : ids.Keys())
+  for (const std::string& name : ids.Keys()) {
+    const bool normalized = extension.Has("normalized") && extension.Get("normalized").Has(name);
     out.attributes.emplace(
-        name, decodeAttribute(mesh, name, static_cast<uint32_t>(number(ids, name.c_str())), place, budget));
+        name, decodeAttribute(mesh, name, static_cast<uint32_t>(number(ids, name.c_str())), normalized, place, budget));
+  }
   budget.give(faces * kBytesPerFace);
   for (const auto& [name, elements] : out.attributes)
     budget.give(elements.count() * elements.components() * sizeof(float));

@@ -1,81 +1,119 @@
 #include "bake/gltf_images.h"
 
-#include <cstdlib>
-#include <memory>
+#define XXH_INLINE_ALL
+#include <xxhash.h>
 
-// stb_image takes memory by what the picture says; this allocator holds it to the importer's budget.
-namespace {
-thread_local uint64_t allowed_bytes = 0;
+#include <cmath>
 
-void* limitedAllocate(size_t bytes) {
-  if (bytes > allowed_bytes) return nullptr;
-  return std::malloc(bytes);
-}
-void* limitedReallocate(void* p, size_t bytes) {
-  if (bytes > allowed_bytes) return nullptr;
-  return std::realloc(p, bytes);
-}
-}  // namespace
-
-#define STBI_MALLOC(bytes) limitedAllocate(bytes)
-#define STBI_REALLOC(p, bytes) limitedReallocate(p, bytes)
-#define STBI_FREE(p) std::free(p)
-#define STB_IMAGE_STATIC
-#define STB_IMAGE_IMPLEMENTATION
-#define STBI_ONLY_PNG
-#define STBI_ONLY_JPEG
-#define STBI_NO_STDIO
-#include <stb_image.h>
+#include "bake/gltf_pictures.h"
 
 namespace ff::bake::gltf {
 namespace {
 
-constexpr uint64_t kLargestFile = uint64_t{1} << 30;  // stb_image counts in int
+constexpr uint64_t kLargestFile = uint64_t{1} << 30;
+const char* const kRemedy = "a stand-in takes its place";
 
-Image decode(const Bytes& bytes, const std::string& place, Budget& budget) {
-  if (bytes.size > kLargestFile) refuse(place, "larger than 1 GiB");
-  int width = 0, height = 0, channels = 0;
-  const int size = static_cast<int>(bytes.size);
-  allowed_bytes = uint64_t{1} << 20;  // enough for the headers
-  if (!stbi_info_from_memory(bytes.data, size, &width, &height, &channels) || width < 1 || height < 1)
-    refuse(place, "neither a PNG nor a JPEG that can be read");
-  const uint64_t pixels = static_cast<uint64_t>(width) * static_cast<uint64_t>(height) * 4;
-  budget.take(pixels * 3, place);  // the decoder holds up to two more copies (16-bit channels, filtered rows)
-  allowed_bytes = pixels * 2 + (1 << 20);
-  std::unique_ptr<stbi_uc, void (*)(void*)> decoded(
-      stbi_load_from_memory(bytes.data, size, &width, &height, &channels, 4), std::free);
-  budget.give(pixels * 2);
-  if (!decoded) {
-    budget.give(pixels);
-    refuse(place, "broken picture: " + printable(stbi_failure_reason()));
+float decoded(uint32_t srgb) {  // IEC 61966-2-1:1999
+  const double v = srgb / 255.0;
+  return static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
+}
+
+Pictures::Means meansOf(const Image& image) {
+  std::array<std::array<uint64_t, 256>, 4> histogram{};
+  for (size_t i = 0; i < image.rgba.size(); ++i) ++histogram[i % 4][image.rgba[i]];
+  Pictures::Means out;
+  const double pixels = static_cast<double>(image.rgba.size() / 4);
+  for (size_t c = 0; c < 4; ++c) {
+    double stored = 0, linear = 0;
+    for (uint32_t v = 0; v < 256; ++v) {
+      stored += static_cast<double>(histogram[c][v]) * (v / 255.0);
+      linear += static_cast<double>(histogram[c][v]) * static_cast<double>(decoded(v));
+    }
+    out.stored[c] = static_cast<float>(stored / pixels);
+    out.linear[c] = c == 3 ? out.stored[c] : static_cast<float>(linear / pixels);
   }
-  Image out;
-  out.width = static_cast<uint32_t>(width);
-  out.height = static_cast<uint32_t>(height);
-  out.rgba.assign(decoded.get(), decoded.get() + pixels);
   return out;
 }
 
 }  // namespace
 
-std::optional<Image> readImage(const Document& document, uint32_t image, const std::string& instead, Budget& budget,
-                               std::vector<std::string>& warnings) {
-  const ImageSource& source = document.images[image];
-  const std::string place = "image " + std::to_string(image);
-  try {
-    if (source.view >= 0) return decode(viewBytes(document, source.view, place), place, budget);
-    if (source.uri.empty()) refuse(place, "has no PNG or JPEG source");
-    const std::vector<uint8_t> file =
-        isDataUri(source.uri) ? decodeDataUri(source.uri, place, budget)
-                              : readFile(resolveUri(source.uri, document.folder, place), kLargestFile, place, budget);
-    budget.give(file.size());
-    return decode({file.data(), file.size()}, place, budget);
-  } catch (const Fault& fault) {
-    Error error = fault.error;
-    error.remedy = instead;
-    warnings.push_back(error.line());
-    return {};
+Pictures::Source Pictures::open(uint32_t image) {
+  const ImageSource& from = document_.images[image];
+  Source out;
+  out.place = "image " + std::to_string(image);
+  if (from.view >= 0) {
+    out.bytes = viewBytes(document_, from.view, out.place);
+  } else {
+    if (from.uri.empty()) refuse(out.place, "names no picture");
+    out.owned = isDataUri(from.uri)
+                    ? decodeDataUri(from.uri, out.place, budget_)
+                    : readFile(resolveUri(from.uri, document_.folder, out.place), kLargestFile, out.place, budget_);
+    budget_.give(out.owned.size());
+    out.bytes = {out.owned.data(), out.owned.size()};
   }
+  const XXH128_hash_t hash = XXH3_128bits(out.bytes.data, out.bytes.size);
+  out.key = {hash.high64, hash.low64};
+  return out;
+}
+
+Image Pictures::decode(const Source& source) {
+  const uint64_t bytes = pictureSize(source.bytes, source.place).bytes();
+  if (bytes > decodable_) refuse(source.place, "the file's pictures come to too many pixels");
+  decodable_ -= bytes;
+  return decodePicture(source.bytes, source.place, budget_);
+}
+
+template <class Value, class Make>
+std::optional<Value> Pictures::firstOf(int texture, std::map<Key, Value>& known, const Make& make) {
+  const std::vector<uint32_t>& images = document_.texture_images[static_cast<size_t>(texture)];
+  std::string line = "texture " + std::to_string(texture) + ": names no image; " + kRemedy;
+  for (const uint32_t image : images) {
+    std::optional<Error> error;
+    if (const auto key = keys_.find(image); key != keys_.end()) {
+      if (const auto value = known.find(key->second); value != known.end()) return value->second;
+      if (const auto fault = faults_.find(key->second); fault != faults_.end()) error = fault->second;
+    }
+    if (!error) {
+      std::optional<Key> key;
+      try {
+        const Source source = open(image);
+        key = keys_[image] = source.key;
+        if (const auto value = known.find(*key); value != known.end()) return value->second;
+        const auto fault = faults_.find(*key);
+        if (fault == faults_.end()) return known.emplace(*key, make(source)).first->second;
+        error = fault->second;
+      } catch (const Fault& fault) {
+        error = fault.error;
+        if (key) faults_.emplace(*key, *error);
+      }
+    }
+    if (image != images.front()) continue;
+    error->place = "image " + std::to_string(image);
+    error->remedy = kRemedy;
+    line = error->line();
+  }
+  // Once a texture without images, an image that is not there, or a picture, whatever images name it.
+  Key said{~uint64_t{0}, images.empty() ? static_cast<uint64_t>(texture) : uint64_t{1} << 32 | images.front()};
+  if (!images.empty() && keys_.count(images.front())) said = keys_.at(images.front());
+  if (said_.insert(said).second) scene_.warnings.push_back(line);
+  return {};
+}
+
+uint32_t Pictures::number(int texture) {
+  return firstOf(texture, numbers_, [&](const Source& source) {
+           scene_.images.push_back(decode(source));
+           return static_cast<uint32_t>(scene_.images.size() - 1);
+         })
+      .value_or(kNone);
+}
+
+std::optional<Pictures::Means> Pictures::means(int texture) {
+  return firstOf(texture, means_, [&](const Source& source) {
+    if (const auto kept = numbers_.find(source.key); kept != numbers_.end()) return meansOf(scene_.images[kept->second]);
+    const Image picture = decode(source);
+    budget_.give(picture.rgba.size());
+    return meansOf(picture);
+  });
 }
 
 }  // namespace ff::bake::gltf

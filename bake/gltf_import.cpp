@@ -21,6 +21,8 @@ using namespace gltf;
 
 // Products of four coordinates (squared areas) must stay within float for those who come after.
 constexpr double kFarthest = 1e9;
+// Pixels that are decoded, many of them only to take their mean, over the memory that may be held.
+constexpr uint64_t kDecodedTimes = 4;
 // Thinner triangles than this (height over longest edge) have lost their normal to rounding in float.
 constexpr double kThinnest = 1e-7;
 
@@ -83,13 +85,17 @@ Matrix rootOf(const ImportLimits& limits) {
 class Builder {
  public:
   Builder(const Document& document, const ImportLimits& limits, Budget& budget, Scene& scene)
-      : document_(document), limits_(limits), budget_(budget), scene_(scene), materials_(document, scene, budget) {}
+      : document_(document), limits_(limits), budget_(budget), scene_(scene),
+        materials_(document, scene, budget, kDecodedTimes * limits.max_memory_bytes) {}
 
   // Mesh by mesh, so that each is decoded once and only one is held.
   void build() {
     scene_.node_names = document_.objects.node_names;
     scene_.mesh_names = document_.objects.mesh_names;
-    auto instances = listInstances(document_, rootOf(limits_), budget_);
+    std::vector<Instance> lights;
+    auto instances = listInstances(document_, rootOf(limits_), budget_, lights);
+    scene_.left_alone = document_.lights.left_alone;
+    addLights(lights);
     for (size_t m = 0; m < instances.size(); ++m) {
       keepOnce(static_cast<uint32_t>(m), instances[m]);
       all_ += instances[m].size() * document_.model.meshes[m].primitives.size();
@@ -135,9 +141,21 @@ class Builder {
                               name("node", document_.objects.node_names, static_cast<size_t>(first)) + ")");
   }
 
+  // In world space, whatever the origin of the scene's coordinates.
+  void addLights(const std::vector<Instance>& nodes) {
+    for (const Instance& at : nodes)
+      if (auto light = placed(document_.lights.of_node.at(static_cast<uint32_t>(at.node)), at.to_world,
+                              "node " + std::to_string(at.node), scene_.warnings)) {
+        light->range_m *= static_cast<float>(limits_.scale);
+        scene_.lights.push_back(std::move(*light));
+      }
+  }
+
   void addPrimitive(const tinygltf::Primitive& primitive, uint32_t mesh, const std::vector<Instance>& instances,
                     const std::string& place) {
     const uint32_t material = materials_.number(primitive.material);
+    const Material& look = scene_.materials[material];
+    if (look.transmission == 1 || (look.blend && look.alpha == 0)) return;  // stops no light
     const Surface surface = readSurface(document_, primitive, materials_.base(material), materials_.emission(material),
                                         place, budget_, scene_.warnings);
     const uint64_t vertices = surface.positions.size() * uint64_t{instances.size()};
@@ -148,26 +166,24 @@ class Builder {
     if (vertices > 0xfffffffeu - scene_.positions.size())
       refuse(place, "more than 4294967294 vertices", "split the scene");
     budget_.take(vertices * sizeof(Vec3) + triangles * sizeof(Triangle) + instances.size() * sizeof(Object), place);
-    std::vector<uint32_t> tints;
-    for (const Vec3 color : surface.colors) tints.push_back(materials_.tinted(material, color));
     for (const Instance& instance : instances) {
       const Objects& objects = document_.objects;
       Traits traits = merged(objects.nodes[static_cast<size_t>(instance.node)], objects.meshes[mesh]);
       if (primitive.material >= 0) traits = merged(traits, objects.materials[static_cast<size_t>(primitive.material)]);
       if (!traits.include.value_or(true)) continue;
       scene_.objects.push_back({static_cast<uint32_t>(scene_.triangles.size()), static_cast<uint32_t>(instance.node), mesh});
-      addInstance(surface, instance, material, tints, traits);
+      addInstance(surface, instance, material, traits);
       if (limits_.progress && ++added_ % 64 == 0) limits_.progress(std::min(added_, all_), all_);
     }
   }
 
-  void addInstance(const Surface& surface, const Instance& instance, uint32_t material,
-                   const std::vector<uint32_t>& tints, const Traits& traits) {
+  void addInstance(const Surface& surface, const Instance& instance, uint32_t material, const Traits& traits) {
     const auto first = static_cast<uint32_t>(scene_.positions.size());
     const std::string place = "node " + std::to_string(instance.node);
     for (const Vec3 p : surface.positions) scene_.positions.push_back(toWorld(instance.to_world, p, scene_.origin, place));
-    addUv(scene_.uv0, surface.uv0, first);
-    addUv(scene_.uv1, surface.uv1, first);
+    addPerVertex(scene_.uv0, surface.uv0, first);
+    addPerVertex(scene_.uv1, surface.uv1, first);
+    addPerVertex(scene_.colors, surface.colors, first);
     const bool mirrored = isMirror(instance.to_world);
     for (size_t t = 0; t < surface.triangles.size(); ++t) {
       std::array<uint32_t, 3> v = surface.triangles[t];
@@ -177,16 +193,17 @@ class Builder {
         ++dropped_;
         continue;
       }
-      scene_.triangles.push_back({v, materials_.with(tints.empty() ? material : tints[t], traits)});
+      scene_.triangles.push_back({v, materials_.with(material, traits)});
     }
   }
 
-  // The array starts with the first surface that needs it; surfaces without coordinates get zeros.
-  void addUv(std::vector<Vec2>& all, const std::vector<Vec2>& uv, uint32_t first) {
-    if (uv.empty() && all.empty()) return;
-    budget_.take((scene_.positions.size() - all.size()) * sizeof(Vec2), "texture coordinates");
+  // The array starts with the first surface that needs it; surfaces without values get the neutral ones.
+  template <class T>
+  void addPerVertex(std::vector<T>& all, const std::vector<T>& values, uint32_t first) {
+    if (values.empty() && all.empty()) return;
+    budget_.take((scene_.positions.size() - all.size()) * sizeof(T), "vertex attributes");
     all.resize(first);
-    all.insert(all.end(), uv.begin(), uv.end());
+    all.insert(all.end(), values.begin(), values.end());
     all.resize(scene_.positions.size());
   }
 
@@ -224,7 +241,7 @@ class Hasher {
   XXH3_state_t state_;
 };
 
-// Warnings and names other than lamp groups' do not count: they do not change a bake.
+// Warnings, what is left alone and names other than lamp groups' and lights' do not count: they do not change a bake.
 std::array<uint8_t, 16> contentHash(const Scene& scene) {
   const auto hasher = std::make_unique<Hasher>();
   hasher->add(scene.origin.data(), sizeof scene.origin);
@@ -232,11 +249,13 @@ std::array<uint8_t, 16> contentHash(const Scene& scene) {
   hasher->add(scene.triangles);
   hasher->add(scene.uv0);
   hasher->add(scene.uv1);
+  hasher->add(scene.colors);
   hasher->add(uint64_t{scene.materials.size()});
   for (const Material& m : scene.materials) {
     const float numbers[] = {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha,       m.metallic,
-                             m.emission.x,   m.emission.y,   m.emission.z,   m.alpha_cutoff};
-    const uint32_t words[] = {m.base_image, m.emission_image, m.repeat, m.double_sided, m.cutout, m.occlude_only};
+                             m.emission.x,   m.emission.y,   m.emission.z,   m.alpha_cutoff,
+                             m.specular.x,   m.specular.y,   m.specular.z,   m.transmission};
+    const uint32_t words[] = {m.base_image, m.emission_image, m.repeat, m.double_sided, m.cutout, m.blend, m.occlude_only};
     hasher->add(&m.density, sizeof m.density);
     if (!(m.emission == Vec3{})) hasher->add((m.lamp_group.empty() ? m.name : m.lamp_group) + '\0');  // worlds list them
     hasher->add(numbers, sizeof numbers);
@@ -246,6 +265,16 @@ std::array<uint8_t, 16> contentHash(const Scene& scene) {
   for (const Image& image : scene.images) {
     hasher->add(uint64_t{image.width} << 32 | image.height);
     hasher->add(image.rgba);
+  }
+  hasher->add(uint64_t{scene.lights.size()});
+  for (const formats::Light& l : scene.lights) {
+    const float numbers[] = {l.color_intensity.x, l.color_intensity.y, l.color_intensity.z, l.position.x,
+                             l.position.y,        l.position.z,        l.direction.x,       l.direction.y,
+                             l.direction.z,       l.range_m,           l.inner_angle,       l.outer_angle};
+    hasher->add(uint64_t{l.kind});
+    hasher->add(numbers, sizeof numbers);
+    hasher->add(uint64_t{l.name.size()});
+    hasher->add(l.name.data(), l.name.size());
   }
   return hasher->digest();
 }

@@ -84,7 +84,8 @@ bool isMirror(const Matrix& m) {
          0;
 }
 
-std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget) {
+std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget,
+                                                 std::vector<Instance>& lights) {
   std::vector<std::vector<Instance>> out(document.model.meshes.size());
   std::vector<Instance> stack;
   for (size_t i = document.roots.size(); i-- > 0;) stack.push_back({root, static_cast<int>(document.roots[i])});
@@ -99,6 +100,7 @@ std::vector<std::vector<Instance>> listInstances(const Document& document, const
     const Instance here{multiply(parent.to_world, localTransform(node)), parent.node};
     for (const double v : here.to_world)
       if (!std::isfinite(v)) refuse("node " + std::to_string(here.node), "its world transform overflows");
+    if (document.lights.of_node.count(static_cast<uint32_t>(here.node))) lights.push_back(here);
     if (node.mesh >= 0) {
       auto& list = out[static_cast<size_t>(node.mesh)];
       const auto instancing = node.extensions.find("EXT_mesh_gpu_instancing");

@@ -15,7 +15,9 @@ struct Instance {
 };
 
 bool isMirror(const Matrix& m);
-// root: what the scene stands in. Per mesh, in the order of a depth-first walk from the scene's roots.
-std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget);
+// root: what the scene stands in. Per mesh, in the order of a depth-first walk from the scene's roots. lights: appended, the
+// visible nodes that hold one (Document::lights).
+std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget,
+                                                 std::vector<Instance>& lights);
 
 }  // namespace ff::bake::gltf

@@ -28,9 +28,25 @@ struct Storage {
   std::vector<Extents> views;
 };
 
+// What a material asks for beside tinygltf's own members.
+struct MaterialFacts {
+  bool blend = false;  // alphaMode BLEND
+  // Factors, and textures that scale them (-1: none).
+  double transmission = 0;
+  int transmission_texture = -1;  // red
+  double diffuse_transmission = 0;
+  int diffuse_transmission_texture = -1;  // alpha
+  std::vector<double> diffuse_transmission_color{1, 1, 1};
+  int diffuse_transmission_color_texture = -1;  // sRGB
+  std::vector<double> specular;                 // of KHR_materials_pbrSpecularGlossiness; empty: not said
+  int specular_texture = -1;                    // sRGB
+  std::vector<std::string> left_alone;          // see Material::left_alone
+};
+
 Json reduceAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
 // texture_count and material warnings: see gltf_document.h for what materials look like afterwards.
-Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<std::string>& warnings);
+Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
+                     std::vector<std::string>& warnings);
 Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                   size_t view_count, std::vector<std::string>& warnings);
 Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,

@@ -20,11 +20,6 @@ class Warner {
     warnings_.push_back(item.place() + ": " + key + text);
     return std::clamp(value, lo, hi);
   }
-  void say(const std::string& text) { warnings_.push_back(text); }
-  void sayOnce(bool& said, const std::string& text) {
-    if (!said) say(text);
-    said = true;
-  }
 
  private:
   std::vector<std::string>& warnings_;
@@ -58,11 +53,97 @@ std::vector<double> factor(const Item& item, const char* key, size_t count, doub
   return v;
 }
 
+int textureIndex(const Item& owner, const char* key, size_t texture_count) {
+  const auto info = texture(owner, key, texture_count);
+  return info ? (*info)["index"].get<int>() : -1;
+}
+
+// Extensions that change what is reflected, and are not modelled: named if they are switched on.
+struct Unmodelled {
+  const char* extension;
+  const char* factor;  // a number or numbers
+  double neutral;      // the value that changes nothing; also the default unless `on_by_default`
+  bool on_by_default;
+  const char* what;
+};
+constexpr Unmodelled kUnmodelled[] = {
+    {"KHR_materials_clearcoat", "clearcoatFactor", 0, false, "the coat's reflection is left out"},
+    {"KHR_materials_sheen", "sheenColorFactor", 0, false, "the sheen's reflection is left out"},
+    {"KHR_materials_iridescence", "iridescenceFactor", 0, false, "colours of thin films are left out"},
+    {"KHR_materials_anisotropy", "anisotropyStrength", 0, false, "its reflection is the same all around"},
+    {"KHR_materials_specular", "specularFactor", 1, false, "reflects as any dielectric"},
+    {"KHR_materials_specular", "specularColorFactor", 1, false, "reflects as any dielectric"},
+    {"KHR_materials_ior", "ior", 1.5, false, "reflects as any dielectric"},
+    {"KHR_materials_volume", "thicknessFactor", 0, false, "neither absorbs nor refracts within"},
+    {"KHR_materials_subsurface", "subsurfaceFactor", 0, true, "light does not wander below the surface"},
+    {"KHR_materials_volume_scatter", "multiscatterColor", 0, true, "light does not scatter within"},
+    {"KHR_materials_dispersion", "dispersion", 0, false, "light is not split into colours"}};
+// Read elsewhere, or without effect on diffuse light.
+constexpr const char* kModelled[] = {"KHR_materials_pbrSpecularGlossiness", "KHR_materials_emissive_strength",
+                                     "KHR_materials_transmission", "KHR_materials_diffuse_transmission",
+                                     "KHR_materials_unlit"};
+
+std::vector<std::string> leftAlone(const Item& item, const MaterialFacts& facts) {
+  std::vector<std::string> out;
+  const auto add = [&](std::string line) {
+    if (std::find(out.begin(), out.end(), line) == out.end()) out.push_back(std::move(line));
+  };
+  for (const Unmodelled& u : kUnmodelled) {
+    const auto extension = item.extension(u.extension);
+    if (!extension) continue;
+    bool on = u.on_by_default && !extension->has(u.factor);
+    if (extension->has(u.factor)) {
+      const Json& value = extension->json()[u.factor];
+      for (const Json& v : value.is_array() ? value : Json::array({value}))
+        on = on || (v.is_number() && v.get<double>() != u.neutral);
+    }
+    if (on) add(std::string(u.extension) + ": " + u.what);
+  }
+  if (facts.diffuse_transmission > 0)
+    add("KHR_materials_diffuse_transmission: light goes straight on behind the surface, not in all directions");
+  if (item.extension("KHR_materials_pbrSpecularGlossiness") && facts.specular.empty())
+    add("KHR_materials_pbrSpecularGlossiness: without a specular colour reflects as any dielectric");
+  if (item.extension("KHR_materials_unlit"))
+    add("KHR_materials_unlit: reflects its colour as other surfaces do, and emits nothing");
+  if (item.has("extensions") && item.json()["extensions"].is_object())
+    for (const auto& [name, unused] : item.json()["extensions"].items()) {
+      const bool known = std::any_of(std::begin(kUnmodelled), std::end(kUnmodelled), [&, &n = name](const Unmodelled& u) { return n == u.extension; }) ||
+                         std::find(std::begin(kModelled), std::end(kModelled), name) != std::end(kModelled);
+      if (!known && name.find("_materials_") != std::string::npos) add(printable(name) + ": is not known");
+    }
+  return out;
+}
+
+// The whole of a material's extensions that let light through, or reflect it otherwise than metallic-roughness.
+MaterialFacts readFacts(const Item& item, size_t texture_count, Warner& warn) {
+  MaterialFacts f;
+  const auto share = [&](const Item& extension, const char* key) {
+    return warn.clamped(extension.number(key).value_or(0), 0, 1, extension, key);
+  };
+  if (const auto transmission = item.extension("KHR_materials_transmission")) {
+    f.transmission = share(*transmission, "transmissionFactor");
+    f.transmission_texture = textureIndex(*transmission, "transmissionTexture", texture_count);
+  }
+  if (const auto diffuse = item.extension("KHR_materials_diffuse_transmission")) {
+    f.diffuse_transmission = share(*diffuse, "diffuseTransmissionFactor");
+    f.diffuse_transmission_texture = textureIndex(*diffuse, "diffuseTransmissionTexture", texture_count);
+    f.diffuse_transmission_color = factor(*diffuse, "diffuseTransmissionColorFactor", 3, 1, warn);
+    f.diffuse_transmission_color_texture = textureIndex(*diffuse, "diffuseTransmissionColorTexture", texture_count);
+  }
+  if (const auto gloss = item.extension("KHR_materials_pbrSpecularGlossiness")) {
+    f.specular_texture = textureIndex(*gloss, "specularGlossinessTexture", texture_count);
+    // The default is a perfect mirror, which exporters that say nothing do not mean.
+    if (gloss->has("specularFactor") || f.specular_texture >= 0) f.specular = factor(*gloss, "specularFactor", 3, 1, warn);
+  }
+  f.left_alone = leftAlone(item, f);
+  return f;
+}
+
 }  // namespace
 
-Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<std::string>& warnings) {
+Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
+                     std::vector<std::string>& warnings) {
   Warner warn(warnings);
-  bool blend_said = false, transmission_said = false;
   Json out = Json::array();
   for (const Item& item : file.items("materials", "material")) {
     budget.take(kMaterialBytes, item.place());
@@ -87,23 +168,9 @@ Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std
       refuse(item.place(), "alphaMode \"" + printable(mode) + "\" is unknown");
     double cutoff = item.number("alphaCutoff").value_or(0.5);
     if (cutoff < 0) refuse(item.place(), "alphaCutoff is negative");
-    if (mode == "BLEND") {
-      warn.sayOnce(blend_said, "alphaMode BLEND is taken as a cutout at alpha 0.5 (first: " + item.place() + ")");
-      mode = "MASK";
-      cutoff = 0.5;
-    }
-    if (const auto transmission = item.extension("KHR_materials_transmission")) {
-      const double t = warn.clamped(transmission->number("transmissionFactor").value_or(0), 0, 1, *transmission,
-                                    "transmissionFactor");
-      if (t > 0.5) {  // windows: light must pass
-        warn.sayOnce(transmission_said,
-                     "surfaces that transmit more than half of the light are left out (first: " + item.place() + ")");
-        if (mode == "OPAQUE") base[3] = 1, cutoff = 0.5;
-        mode = "MASK";
-        base[3] *= 1 - t;
-        cutoff = std::max(cutoff, 0.5);
-      }
-    }
+    facts.push_back(readFacts(item, texture_count, warn));
+    facts.back().blend = mode == "BLEND";
+    if (item.extension("KHR_materials_unlit")) pbr["metallicFactor"] = 0.0;
     std::vector<double> emission = item.numbers("emissiveFactor", 3);
     if (emission.empty()) emission.assign(3, 0.0);
     double strength = 1;

@@ -34,8 +34,8 @@ bool isTexCoord(const std::string& name) {
   return name.size() == 10 || (name[9] != '0' && name.substr(9) < "64");
 }
 
-Json reduceDraco(const Item& item, const Item& draco, const Json& kept, size_t view_count, uint64_t vertex_count,
-                 uint64_t index_count) {
+Json reduceDraco(const Item& item, const Item& draco, const Json& kept, const std::vector<AccessorFacts>& accessors,
+                 size_t view_count, uint64_t vertex_count, uint64_t index_count) {
   const auto view = draco.reference("bufferView", view_count, "bufferView");
   if (!view) refuse(draco.place(), "bufferView is missing");
   const auto ids = draco.object("attributes");
@@ -44,11 +44,12 @@ Json reduceDraco(const Item& item, const Item& draco, const Json& kept, size_t v
               {"vertexCount", vertex_count},
               {"indexCount", index_count},
               {"attributes", Json::object()}};
-  for (const auto& [name, unused] : kept.items()) {
+  for (const auto& [name, accessor] : kept.items()) {
     if (!ids->has(name.c_str())) refuse(item.place(), name + " is not among the Draco attributes");
     const uint64_t id = *ids->integer(name.c_str());
     if (id > 0x7fffffff) refuse(draco.place(), name + " has the attribute id " + std::to_string(id));
     out["attributes"][name] = id;
+    if (accessors[accessor.get<size_t>()].normalized) out["normalized"][name] = true;
   }
   return out;
 }
@@ -111,7 +112,7 @@ Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors,
       if (const auto draco = item.extension("KHR_draco_mesh_compression")) {
         if (mode == 6) refuse(item.place(), "a triangle fan cannot be Draco-compressed");
         reduced["extensions"]["KHR_draco_mesh_compression"] =
-            reduceDraco(item, *draco, kept, view_count, vertex_count, index_count);
+            reduceDraco(item, *draco, kept, accessors, view_count, vertex_count, index_count);
       } else if (indices) {
         if (accessors[*indices].view < 0) {  // all zeros, as the specification has it
           warnings.push_back(item.place() + ": its indices have no bufferView: no triangle has an area");

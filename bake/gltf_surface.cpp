@@ -54,7 +54,7 @@ bool hasData(const Document& document, int accessor) {
 }  // namespace
 
 uint64_t surfaceBytes(uint64_t vertices, uint64_t triangles) {
-  return vertices * (sizeof(Vec3) + 2 * sizeof(Vec2) + sizeof(uint32_t)) +
+  return vertices * (sizeof(Vec3) + 2 * sizeof(Vec2) + sizeof(Rgba) + sizeof(uint32_t)) +
          triangles * (sizeof(Triangles::value_type) + sizeof(Vec3));
 }
 
@@ -128,24 +128,24 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
 
   // Only vertices in use are kept, in order of first use: several primitives may share one large accessor.
   std::vector<uint32_t> kept(vertex_count, kUnseen);
+  bool white = true;
   for (auto& triangle : triangles) {
-    if (color != attributes.end()) {
-      Vec3 sum;
-      for (const uint32_t v : triangle)
-        for (int c = 0; c < 3; ++c)
-          sum[c] += std::clamp(color->second.value(v, static_cast<uint32_t>(c)), 0.0f, 1.0f) / 3;
-      out.colors.push_back(sum);
-    }
     for (uint32_t& v : triangle) {
       if (kept[v] == kUnseen) {
         kept[v] = static_cast<uint32_t>(out.positions.size());
         out.positions.push_back({positions.value(v, 0), positions.value(v, 1), positions.value(v, 2)});
         if (uv0) out.uv0.push_back(transformed(base, *uv0, v));
         if (uv1) out.uv1.push_back(transformed(emission, *uv1, v));
+        if (color != attributes.end()) {
+          const auto channel = [&](uint32_t c) { return std::clamp(color->second.value(v, c), 0.0f, 1.0f); };
+          out.colors.push_back({channel(0), channel(1), channel(2), color->second.components() > 3 ? channel(3) : 1.0f});
+          white = white && out.colors.back() == Rgba{};
+        }
       }
       v = kept[v];
     }
   }
+  if (white) out.colors.clear();
   out.triangles = std::move(triangles);
   budget.give(taken);
   return out;

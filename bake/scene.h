@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/layout.h"
 #include "formats/result.h"
 #include "formats/vec3.h"
 
@@ -16,6 +17,13 @@ inline constexpr uint32_t kNone = 0xffffffffu;
 
 struct Vec2 {
   float x = 0, y = 0;
+};
+
+// Linear.
+struct Rgba {
+  float r = 1, g = 1, b = 1, a = 1;
+  Vec3 rgb() const { return {r, g, b}; }
+  friend bool operator==(const Rgba&, const Rgba&) = default;
 };
 
 // 8-bit RGBA as stored; colour channels are sRGB-encoded, alpha is linear.
@@ -35,11 +43,15 @@ struct Material {
   uint32_t emission_image = kNone;  // multiplies emission; Scene::uv1 (already chosen and transformed by the importer)
   bool repeat = true;            // wrap mode of both images: repeat (mirrored counts as repeat) or clamp
   bool double_sided = false;
-  bool cutout = false;           // alphaMode MASK, or BLEND taken as MASK at 0.5
-  float alpha_cutoff = 0.5f;
+  Vec3 specular{};               // mirror reflectance besides base_color; see PatchSettings::metals
+  bool cutout = false;           // light may pass: alphaMode MASK or BLEND, or transmission; see solidity()
+  float alpha_cutoff = 0.5f;     // it passes where alpha is below it; unless
+  bool blend = false;            // alphaMode BLEND: alpha is the share of the light that does not pass
+  float transmission = 0;        // share of the light that passes where alpha would stop it
   bool unlit = false;            // KHR_materials_unlit
   bool occlude_only = false;     // blocks light and has no patches
   float density = 1;             // of patches: 2 has them half as large
+  std::vector<std::string> left_alone{};  // what the file asks of it and is not modelled, a line each: "EXTENSION: what"
 };
 
 struct Triangle {
@@ -67,11 +79,14 @@ struct Scene {
   std::vector<Triangle> triangles;  // counter-clockwise seen from the front (mirrored nodes are already flipped)
   std::vector<Vec2> uv0;            // base colour, KHR_texture_transform applied; one per position, or empty
   std::vector<Vec2> uv1;            // emission, likewise
+  std::vector<Rgba> colors;         // vertex colours, which multiply base_color and alpha; one per position, or empty
   std::vector<Material> materials;
   std::vector<Image> images;
   std::vector<Object> objects;     // ascending; empty where nothing is known
   std::vector<std::string> node_names, mesh_names;
   Backs backs = Backs::kAbsorb;
+  std::vector<formats::Light> lights;   // KHR_lights_punctual
+  std::vector<std::string> left_alone;  // what is not modelled of the scene as a whole, likewise
   std::vector<std::string> warnings;
   std::array<uint8_t, 16> content_hash{};  // XXH3-128 of the above arrays: part of the bake key
 };

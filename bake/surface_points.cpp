@@ -33,7 +33,7 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
       position = pointInTriangle(t->a, t->b, t->c, own > 0 ? std::clamp((x - before) / own, 0.0f, 1.0f) : 0.5f, v);
       if (!scene.materials[scene.triangles[t->source].material].cutout) break;
       const auto [b, c] = barycentric(scene, t->source, position);
-      if (!isHole(scene, t->source, b, c)) break;
+      if (mayStart(scene, t->source, b, c)) break;
       pick = std::fmod(pick + 0.6180339887f, 1.0f);
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }

@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <numbers>
+
+#include "bake/sobol.h"
 
 namespace ff::bake {
 namespace {
@@ -43,6 +46,20 @@ Vec2 interpolate(const std::vector<Vec2>& uv, const Triangle& t, float b, float 
   return {a * p.x + b * q.x + c * r.x, a * p.y + b * q.y + c * r.y};
 }
 
+Rgba interpolate(const std::vector<Rgba>& colors, const Triangle& t, float b, float c) {
+  const Rgba p = colors[t.v[0]], q = colors[t.v[1]], r = colors[t.v[2]];
+  const float a = 1 - b - c;
+  return {a * p.r + b * q.r + c * r.r, a * p.g + b * q.g + c * r.g, a * p.b + b * q.b + c * r.b, a * p.a + b * q.a + c * r.a};
+}
+
+// Largest share of the light that a material stops anywhere.
+float mostSolid(const Material& m) { return (m.blend ? m.alpha : 1) * (1 - m.transmission); }
+
+float chance(uint32_t t, float b, float c) {
+  const uint64_t point = uint64_t{std::bit_cast<uint32_t>(b)} << 32 | std::bit_cast<uint32_t>(c);
+  return static_cast<float>(mix64(point ^ mix64(t + 1)) >> 40) * 0x1p-24f;
+}
+
 }  // namespace
 
 float largestCoordinate(const Scene& scene, uint32_t t) {
@@ -58,14 +75,27 @@ float triangleArea(const Scene& scene, uint32_t t) {
   return 0.5f * length(cross(scene.positions[v[1]] - a, scene.positions[v[2]] - a));
 }
 
-bool isHole(const Scene& scene, uint32_t t, float b, float c) {
+float solidity(const Scene& scene, uint32_t t, float b, float c) {
   const Material& m = scene.materials[scene.triangles[t].material];
-  if (!m.cutout) return false;
+  if (!m.cutout) return 1;
   float alpha = m.alpha;
   if (m.base_image != kNone && !scene.uv0.empty())
     alpha *= texel(scene.images[m.base_image], interpolate(scene.uv0, scene.triangles[t], b, c), m.repeat).alpha;
-  return alpha < m.alpha_cutoff;
+  if (!scene.colors.empty()) alpha *= interpolate(scene.colors, scene.triangles[t], b, c).a;
+  return (m.blend ? std::clamp(alpha, 0.0f, 1.0f) : alpha < m.alpha_cutoff ? 0.0f : 1.0f) * (1 - m.transmission);
 }
+
+bool isHole(const Scene& scene, uint32_t t, float b, float c) {
+  const float solid = solidity(scene, t, b, c);
+  return solid < 1 && chance(t, b, c) >= solid;
+}
+
+bool mayStart(const Scene& scene, uint32_t t, float b, float c) {
+  const float solid = solidity(scene, t, b, c), most = mostSolid(scene.materials[scene.triangles[t].material]);
+  return solid >= most || chance(t, b, c) * most < solid;
+}
+
+bool isSeenThrough(const Material& material) { return material.cutout && mostSolid(material) < 0.5f; }
 
 std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p) {
   const auto& v = scene.triangles[t].v;
@@ -77,55 +107,57 @@ std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p) {
 }
 
 float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, float area_m2) {
-  const Material& m = scene.materials[scene.triangles[t].material];
+  const Triangle& tri = scene.triangles[t];
+  const Material& m = scene.materials[tri.material];
   const bool base = m.base_image != kNone && !scene.uv0.empty();
   const bool glow = m.emission_image != kNone && !scene.uv1.empty();
-  uint32_t points = 1;
-  if (base || glow) {  // about one point a texel
-    const auto size = [&](uint32_t image) {
-      return static_cast<double>(scene.images[image].width) * static_cast<double>(scene.images[image].height);
-    };
-    const auto& uv = base ? scene.uv0 : scene.uv1;
-    const auto& v = scene.triangles[t].v;
-    const Vec2 a = uv[v[0]], b = uv[v[1]], c = uv[v[2]];
+  const bool tinted = !scene.colors.empty();
+  // A point a texel, or one in all: the mean of what is linear is its value in the middle.
+  const double share = static_cast<double>(area_m2) / std::max(1e-20, static_cast<double>(triangleArea(scene, t)));
+  const auto texels = [&](const std::vector<Vec2>& uv, uint32_t image) {
+    const Vec2 a = uv[tri.v[0]], b = uv[tri.v[1]], c = uv[tri.v[2]];
     const double uv_area = 0.5 * std::abs(static_cast<double>((b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)));
-    const double whole = std::max(1e-20, static_cast<double>(triangleArea(scene, t)));
-    const double texels =
-        uv_area * size(base ? m.base_image : m.emission_image) * static_cast<double>(area_m2) / whole;
-    points = static_cast<uint32_t>(std::clamp(texels, 4.0, 64.0));
-  }
-  uint32_t solid = 0;
+    return uv_area * static_cast<double>(scene.images[image].width) * static_cast<double>(scene.images[image].height) * share;
+  };
+  double wanted = 1;
+  if (base || glow) wanted = 4;
+  if (tinted && m.cutout) wanted = kMostPoints;
+  if (base) wanted = std::max(wanted, std::min(texels(scene.uv0, m.base_image), kMostPoints));
+  if (glow) wanted = std::max(wanted, std::min(texels(scene.uv1, m.emission_image), kMostLampPoints));
+  const auto points = static_cast<uint32_t>(wanted);
+  float solid = 0;
   Vec3 colour, light;
   for (uint32_t i = 0; i < points; ++i) {
-    // R2 sequence: Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018.
-    float u = std::fmod(0.5f + static_cast<float>(i) * 0.7548776662f, 1.0f);
-    float w = std::fmod(0.5f + static_cast<float>(i) * 0.5698402910f, 1.0f);
+    // R2 sequence: Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018. In units of 2^-32.
+    float u = static_cast<float>(0x80000000u + i * 3242174889u) * 0x1p-32f;
+    float w = static_cast<float>(0x80000000u + i * 2447445414u) * 0x1p-32f;
     if (u + w > 1) {
       u = 1 - u;
       w = 1 - w;
     }
     if (points == 1) u = w = 1.0f / 3;
     Vec3 rgb{1, 1, 1}, emitted{1, 1, 1};
-    if (base || glow || m.cutout) {
+    float stops = 1;
+    if (base || glow || tinted || m.cutout) {
       const auto [b, c] = barycentric(scene, t, p + (q - p) * u + (r - p) * w);
-      if (isHole(scene, t, b, c)) continue;
-      const Triangle& tri = scene.triangles[t];
+      stops = solidity(scene, t, b, c);
       if (base) rgb = texel(scene.images[m.base_image], interpolate(scene.uv0, tri, b, c), m.repeat).rgb;
+      if (tinted) rgb = rgb * interpolate(scene.colors, tri, b, c).rgb();
       if (glow) emitted = texel(scene.images[m.emission_image], interpolate(scene.uv1, tri, b, c), m.repeat).rgb;
     }
-    ++solid;
-    colour += rgb;
-    light += emitted;
+    solid += stops;
+    colour += rgb * stops;
+    light += emitted * stops;
   }
-  if (solid == 0) return 0;
-  const float fraction = static_cast<float>(solid) / static_cast<float>(points);
-  const double w = static_cast<double>(area_m2 * fraction) / solid;
-  weight_ += static_cast<double>(area_m2 * fraction);
+  const double w = static_cast<double>(area_m2) / points;
+  const double mirror = static_cast<double>(metals_);
+  weight_ += w * static_cast<double>(solid);
   for (int a = 0; a < 3; ++a) {
-    albedo_[a] += w * static_cast<double>(colour[a] * m.base_color[a] * (1 - m.metallic * (1 - metals_)));
+    albedo_[a] += w * (static_cast<double>(colour[a] * m.base_color[a] * (1 - m.metallic * (1 - metals_))) +
+                       mirror * static_cast<double>(m.specular[a] * solid));
     emission_[a] += w * static_cast<double>(light[a] * m.emission[a]);
   }
-  return fraction;
+  return solid / static_cast<float>(points);
 }
 
 Vec3 SurfaceMean::albedo() const {

@@ -9,12 +9,21 @@ float largestCoordinate(const Scene& scene, uint32_t t);
 // How many sides have patches: 0 (in the light's way only) to 2.
 inline int patchedSides(const Material& m) { return m.occlude_only ? 0 : m.double_sided ? 2 : 1; }
 float triangleArea(const Scene& scene, uint32_t t);  // m2
-// Whether a cutout triangle lets a ray through at a point; b, c: barycentric weights of corners 1 and 2.
+// Share of the light that does not pass at a point, 0..1; b, c: barycentric weights of corners 1 and 2.
+float solidity(const Scene& scene, uint32_t t, float b, float c);
+// Whether a ray passes at a point: chosen by a hash of triangle and point, so that of many rays the right share does.
 bool isHole(const Scene& scene, uint32_t t, float b, float c);
+// Whether a ray of the surface itself may start at a point: chosen likewise, by solidity over the material's largest.
+bool mayStart(const Scene& scene, uint32_t t, float b, float c);
+// Whether most light passes everywhere (panes, gauze): such surfaces are not drawn, and cast no shadows in pictures.
+bool isSeenThrough(const Material& material);
 // Barycentric weights of corners 1 and 2 at point p of triangle t's plane.
 std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p);
 
-// Area-weighted means over pieces; textures are averaged at up to 64 well-spread points a piece, more for larger pieces.
+// Area-weighted means over pieces. Vertex colours are linear over a piece and averaged exactly; pictures at about a point a
+// texel, well spread, up to kMostPoints of them, or kMostLampPoints where the surface emits what a picture says: a small
+// bright spot must not be missed.
+inline constexpr double kMostPoints = 256, kMostLampPoints = 16384;
 class SurfaceMean {
  public:
   explicit SurfaceMean(float metals) : metals_(metals) {}  // see PatchSettings::metals

@@ -75,10 +75,38 @@ void printSummary(const ff::bake::BakeStats& s, const std::string& out) {
   }
   fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
              s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
-  if (s.clamped_nodes > 0)
-    fmt::print("  albedo lowered on {} nodes that would have reflected all they see back to what they see\n", s.clamped_nodes);
   fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake\n", s.seconds,
              static_cast<double>(s.rays) * 1e-6 / s.seconds);
+}
+
+// Names are the file's own: control characters do not reach the terminal.
+std::string shown(std::string name) {
+  for (char& c : name)
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
+  return name;
+}
+
+// The last block: nothing where there is nothing to say.
+void printNotModelled(const std::vector<ff::bake::NotModelled>& lines) {
+  constexpr size_t kMostNames = 8;
+  if (!lines.empty()) fmt::print("not modelled here\n");
+  for (const auto& line : lines) {
+    fmt::print("  {}\n", shown(line.what));
+    if (line.names.empty()) continue;
+    fmt::print("    {} {}, {} triangles, {:.3g} % of the surface:", line.names.size(),
+               line.names.size() == 1 ? "material" : "materials", line.triangles, line.area_share * 100);
+    for (size_t i = 0; i < std::min(kMostNames, line.names.size()); ++i)
+      fmt::print("{} {}", i == 0 ? "" : ",", shown(line.names[i]));
+    if (line.names.size() > kMostNames) fmt::print(" and {} more", line.names.size() - kMostNames);
+    fmt::print("\n");
+  }
+}
+
+nlohmann::json toJson(const std::vector<ff::bake::NotModelled>& lines) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const auto& line : lines)
+    out.push_back({{"what", line.what}, {"triangles", line.triangles}, {"area_share", line.area_share}, {"materials", line.names}});
+  return out;
 }
 
 nlohmann::json toJson(const ff::bake::BakeStats& s) {
@@ -91,6 +119,7 @@ nlohmann::json toJson(const ff::bake::BakeStats& s) {
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},
           {"warnings", s.warnings},
+          {"not_modelled", toJson(s.not_modelled)},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"levels", levels}};
 }
@@ -166,9 +195,10 @@ int main(int argc, char** argv) {
   if (!stats) return fail(stats.error());
   for (const std::string& warning : stats->warnings) fmt::print(stderr, "ffbake: warning: {}\n", warning);
   if (json) {
-    fmt::print("{}\n", toJson(*stats).dump());
+    fmt::print("{}\n", toJson(*stats).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
   } else {
     printSummary(*stats, out);
+    printNotModelled(stats->not_modelled);
   }
   return 0;
 }

@@ -23,6 +23,9 @@ ff::Box checkScene(const ff::bake::Scene& scene) {
     if (!uv->empty()) FF_CHECK_EQ(uv->size(), scene.positions.size());
     for (const ff::bake::Vec2 t : *uv) FF_CHECK_EQ(std::isfinite(t.x) && std::isfinite(t.y), true);
   }
+  if (!scene.colors.empty()) FF_CHECK_EQ(scene.colors.size(), scene.positions.size());
+  for (const ff::bake::Rgba& c : scene.colors)
+    for (const float x : {c.r, c.g, c.b, c.a}) FF_CHECK_EQ(x >= 0 && x <= 1, true);
   for (const auto& triangle : scene.triangles) {
     for (const uint32_t v : triangle.v) {
       FF_CHECK_LT(v, scene.positions.size());

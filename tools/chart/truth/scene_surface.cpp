@@ -1,6 +1,7 @@
 #include "tools/chart/truth/scene_surface.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 namespace ff::chart {
@@ -24,6 +25,28 @@ size_t texelAt(const bake::Scene& scene, const std::vector<bake::Vec2>& coordina
   return 4 * (texel(y, image.height) * image.width + texel(x, image.width));
 }
 
+bake::Rgba vertexColour(const bake::Scene& scene, uint32_t triangle, float u, float v) {
+  if (scene.colors.empty()) return {};
+  const auto& corner = scene.triangles[triangle].v;
+  const bake::Rgba &a = scene.colors[corner[0]], &b = scene.colors[corner[1]], &c = scene.colors[corner[2]];
+  const auto mix = [&](float x, float y, float z) { return x + u * (y - x) + v * (z - x); };
+  return {mix(a.r, b.r, c.r), mix(a.g, b.g, c.g), mix(a.b, b.b, c.b), mix(a.a, b.a, c.a)};
+}
+
+// 0..1, white noise over the points of a surface. Wang. Integer Hash Function. 1997 (the 32-bit mix).
+float noiseAt(uint32_t triangle, float u, float v) {
+  uint32_t h = triangle;
+  for (const float x : {u, v}) {
+    h ^= std::bit_cast<uint32_t>(x);
+    h = (h ^ 61) ^ (h >> 16);
+    h *= 9;
+    h ^= h >> 4;
+    h *= 0x27d4eb2d;
+    h ^= h >> 15;
+  }
+  return static_cast<float>(h >> 8) * 0x1p-24f;
+}
+
 Vec3 colourAt(const bake::Image& image, size_t texel) {
   return {decoded(image.rgba[texel]), decoded(image.rgba[texel + 1]), decoded(image.rgba[texel + 2])};
 }
@@ -41,7 +64,7 @@ SurfacePoint surfaceAt(const bake::Scene& scene, uint32_t triangle, float u, flo
     const bake::Image& image = scene.images[m.emission_image];
     p.radiance = p.radiance * colourAt(image, texelAt(scene, scene.uv1, triangle, u, v, image, m.repeat));
   }
-  p.albedo = min(p.albedo, {1, 1, 1});
+  p.albedo = min(p.albedo * vertexColour(scene, triangle, u, v).rgb() + m.specular, {1, 1, 1});
   return p;
 }
 
@@ -53,7 +76,9 @@ bool holeAt(const bake::Scene& scene, uint32_t triangle, float u, float v) {
     const bake::Image& image = scene.images[m.base_image];
     alpha *= static_cast<float>(image.rgba[texelAt(scene, scene.uv0, triangle, u, v, image, m.repeat) + 3]) / 255;
   }
-  return alpha < m.alpha_cutoff;
+  alpha *= vertexColour(scene, triangle, u, v).a;
+  const float stopped = (m.blend ? std::clamp(alpha, 0.0f, 1.0f) : alpha >= m.alpha_cutoff ? 1.0f : 0.0f) * (1 - m.transmission);
+  return stopped <= 0 || (stopped < 1 && noiseAt(triangle, u, v) >= stopped);
 }
 
 }  // namespace ff::chart
