@@ -104,6 +104,78 @@ TEST_F(Formfield, GivesTheLightOfTheRuntimeBeneath) {
   EXPECT_LT(stats().residual, 1e-6);
 }
 
+TEST_F(Formfield, ListsLampGroupsAndSwitchesThemAtEverySlot) {
+  open();
+  FormfieldWorldInfo info{};
+  info.size = sizeof(info);
+  ASSERT_EQ(formfieldGetWorldInfo(world_, &info), FORMFIELD_OK);
+  ASSERT_EQ(info.lamp_groups, 3u);
+  FormfieldLampGroup groups[3]{};
+  ASSERT_EQ(formfieldLampGroups(world_, 0, 3, groups), FORMFIELD_OK);
+  uint32_t found = 0;
+  for (uint32_t g = 0; g < 3; ++g) {
+    EXPECT_GT(groups[g].emission[1], 0);
+    EXPECT_GT(groups[g].patches, 0u);
+    ASSERT_EQ(formfieldFindLampGroup(world_, groups[g].name, &found), FORMFIELD_OK);
+    EXPECT_EQ(found, g);
+  }
+  frame({30, 1, 30});
+  ASSERT_EQ(formfieldSettle(world_, 1e-7f, 1000), FORMFIELD_OK);
+  frame({30, 1, 30});
+  uint32_t slots = 0;
+  const auto light = [&] {
+    const float* const b = formfieldRadiosity(world_, &slots);
+    return std::vector<float>(b, b + 4 * size_t{slots});
+  };
+  const std::vector<float> on = light();
+  const float dark[3] = {0, 0, 0}, whole[3] = {1, 1, 1};
+  for (uint32_t g = 0; g < 3; ++g) ASSERT_EQ(formfieldSetEmission(world_, g, dark), FORMFIELD_OK);
+  asked_ = 0;
+  const MemoryCalls before = memoryCalls();
+  frame({30, 1, 30});
+  EXPECT_EQ(memoryCalls().allocated, before.allocated);
+  EXPECT_EQ(asked_, 0);
+  const std::vector<float> off = light();
+  uint32_t tiles = 0, emitting = 0;
+  const FormfieldTile* const tile = formfieldTiles(world_, &tiles, nullptr);
+  for (uint32_t t = 0; t < tiles; ++t)
+    for (uint32_t i = 0; i < tile[t].nodes; ++i) {
+      const Vec3 m = test_.node(tile[t].level, tile[t].first_node + i).emission;
+      const size_t at = 4 * size_t{tile[t].first_slot + i};
+      emitting += m.x > 0;
+      // What it emits is gone at once, at every level, and what it reflects of other lamps is less.
+      ASSERT_LE(off[at], on[at] - m.x + 1e-4f * on[at]);
+    }
+  EXPECT_GT(emitting, 20u);
+  for (uint32_t g = 0; g < 3; ++g) ASSERT_EQ(formfieldSetEmission(world_, g, whole), FORMFIELD_OK);
+  frame({30, 1, 30});
+  ASSERT_EQ(formfieldSettle(world_, 1e-7f, 1000), FORMFIELD_OK);
+  const std::vector<float> again = light();
+  for (uint32_t t = 0; t < tiles; ++t)
+    for (uint32_t i = 0; i < 4 * tile[t].nodes; ++i) {
+      const size_t at = 4 * size_t{tile[t].first_slot} + i;
+      // Both stop when a change is below 1e-7 of the largest; albedo <= 0.9 leaves at most 9 such changes to come.
+      ASSERT_NEAR(again[at], on[at], 2e-5f * (1 + on[at]));
+    }
+}
+
+TEST_F(Formfield, RefusesLampsThatAreNoneAndScalesThatAreNoLight) {
+  open();
+  const float good[3] = {1, 1, 1}, negative[3] = {1, -0.5f, 1}, endless[3] = {1, 1, INFINITY}, none[3] = {NAN, 0, 0};
+  uint32_t group = 0;
+  FormfieldLampGroup listed;
+  EXPECT_EQ(formfieldSetEmission(world_, 3, good), FORMFIELD_ERROR_USAGE);
+  EXPECT_NE(std::string(formfieldError(device_)).find("is no lamp group"), std::string::npos);
+  EXPECT_EQ(formfieldSetEmission(world_, 0, nullptr), FORMFIELD_ERROR_USAGE);
+  for (const float* scale : {negative, endless, none}) EXPECT_EQ(formfieldSetEmission(world_, 0, scale), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldSetEmission(nullptr, 0, good), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldFindLampGroup(world_, "no such lamp", &group), FORMFIELD_ERROR_USAGE);
+  EXPECT_NE(std::string(formfieldError(device_)).find("no such lamp"), std::string::npos);
+  EXPECT_EQ(formfieldLampGroups(world_, 3, 1, &listed), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldLampGroups(world_, 3, 0, nullptr), FORMFIELD_OK);
+  EXPECT_EQ(formfieldSetEmission(world_, 2, good), FORMFIELD_OK);
+}
+
 TEST_F(Formfield, TheMapOfSlotsNamesEveryPatchAndChangesWithTheCutAlone) {
   open();
   uint32_t none = 0;

@@ -4,6 +4,7 @@
 #include <fstream>
 
 #include "runtime/choose_solver.h"
+#include "runtime/vk_buffer.h"
 #include "runtime/vk_device.h"
 #include "tests/runtime/test_world.h"
 
@@ -35,6 +36,7 @@ class FormfieldVulkan : public testing::Test {
     const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
     const float at[3] = {16, 1, 16}, above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
     EXPECT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
+    for (uint32_t g = 0; g < 2; ++g) EXPECT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     for (int i = 0; i < 3; ++i) EXPECT_EQ(formfieldFrame(world, at, nullptr), FORMFIELD_OK) << formfieldError(device);
     EXPECT_EQ(formfieldSettle(world, 1e-6f, 300), FORMFIELD_OK) << formfieldError(device);
     uint32_t slots = 0;
@@ -80,6 +82,7 @@ class FormfieldVulkan : public testing::Test {
   }
 
   static constexpr float kAt[3] = {16, 1, 16};
+  static constexpr float kScales[2][3] = {{0, 0, 0}, {0.5f, 1, 2}};  // of two lamp groups; the third is as baked
   TestWorld test_;
   FormfieldVulkanSettings settings_{};
   FormfieldDevice device_ = nullptr;
@@ -161,6 +164,8 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     auto begin = zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     ASSERT_EQ(vkBeginCommandBuffer(commands[ring], &begin), VK_SUCCESS);
+    for (uint32_t g = 0; frame == 30 && g < 2; ++g)  // a switch in mid-flight
+      ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     // In from afar, then still: cuts change while frames are in flight.
     const float at[3] = {std::max(16.0f, 28 - 0.2f * static_cast<float>(frame)), 1, 16};
     ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
@@ -175,6 +180,18 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
   }
   ASSERT_EQ(vkDeviceWaitIdle(device), VK_SUCCESS);
   EXPECT_EQ(formfieldRadiosityBuffer(world), buffer);
+  // The device's own buffer holds the same, emission included.
+  uint32_t used = 0, tiles = 0;
+  const float* const brought_back = formfieldRadiosity(world, &used);
+  const auto copied = Buffer::create(**engine, used * sizeof(Vec4), 0, MemoryUse::kHost);
+  ASSERT_TRUE(copied);
+  const VkBufferCopy copy{0, 0, used * sizeof(Vec4)};
+  ASSERT_TRUE((*engine)->run([&](VkCommandBuffer c) { vkCmdCopyBuffer(c, buffer, copied->handle(), 1, &copy); }));
+  const auto* const on_device = reinterpret_cast<const float*>(copied->mapped());
+  const FormfieldTile* const tile = formfieldTiles(world, &tiles, nullptr);
+  for (uint32_t t = 0; t < tiles; ++t)
+    for (uint32_t i = 4 * tile[t].first_slot; i < 4 * (tile[t].first_slot + tile[t].nodes); ++i)  // w is 0 on both sides
+      ASSERT_NEAR(on_device[i], brought_back[i], 1e-3f * (1 + on_device[i]));
 
   // What the last frames brought back is the settled light. (160 iterations at an albedo of at most 0.9.)
   uint32_t slots = 0;

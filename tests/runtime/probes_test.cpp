@@ -216,9 +216,12 @@ TEST(Probes, AFurnaceGivesItsRadiosityToEveryPointAndNormal) {
     for (int i = 0; i < 100; ++i) {
       const Vec3 p = Vec3{0.01f, 0.01f, 0.01f} + 0.98f * Vec3{uniform(), uniform(), uniform()};
       const Vec3 e = frame.sample(p, normalized({uniform() - 0.5f, uniform() - 0.5f, uniform() - 0.5f}));
-      // M / (1 - rho); converged to 1e-6 of the largest change, albedo stored in 16 bits, emission in fp32.
+      // M / (1 - rho). Rows close exactly, but lamps' light is what the bake's rays found: off by what a row's total is off, d at
+      // most, so that B is by rho d M / (1 - rho) = d M. Converged to 1e-6 of the largest change, albedo stored in 16 bits.
+      const float d = world.info().row_total_deviation;
+      ASSERT_LT(d, 0.1f);
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR(e[c], 3.14159265f * static_cast<float>(c + 1) / 0.5f, 1e-4f * 3.14159265f * static_cast<float>(c + 1));
+        ASSERT_NEAR(e[c], 3.14159265f * static_cast<float>(c + 1) / 0.5f, (d + 1e-4f) * 3.14159265f * static_cast<float>(c + 1));
     }
   }
 }
