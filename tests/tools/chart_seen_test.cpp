@@ -76,10 +76,11 @@ TEST_F(SeenScene, APatchHalfInTheShadeIsWrongWhereItsSunnyHalfIsSeen) {
 
 // E = B = M / (1 - albedo) everywhere; lamps and patches as the solvers have them, black ones as well as grey ones.
 TEST_F(SeenScene, AFurnaceHasOneIrradiance) {
-  ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.5f, 256));
+  ASSERT_NO_FATAL_FAILURE(open(sceneOf(tools::furnaceBox(0.5f, 2)), 0.5f, 4096));
   const auto lit = world_->lit(kLamps, 16, nullptr);
   ASSERT_TRUE(lit);
-  for (const double e : (*lit)->irradiance) EXPECT_NEAR(e, 4, 1e-4);
+  // Half of it comes by the lamps' weights, which 4096 rays of a patch find to half a percent; the rows are exact.
+  for (const double e : (*lit)->irradiance) EXPECT_NEAR(e, 4, 0.04);
   const std::vector<Vec3> eyes{{0.5f, 0.5f, 0.5f}, {0.1f, 0.2f, 0.3f}};
   const SeenPixels seen = lookAround(world_->tracer(), eyes, kFew);
   EXPECT_EQ(seen.eyes.size(), 2u);
@@ -88,11 +89,11 @@ TEST_F(SeenScene, AFurnaceHasOneIrradiance) {
   const auto score = scoreSeen(*world_, seen, kLamps, standard(), kFew);
   ASSERT_TRUE(score) << score.error().line();
   // Bars of a mean over 64 pixels, four of them.
-  EXPECT_NEAR(score->full_solve.energy.value, 0, 4 * score->tracer_noise / 8);
+  EXPECT_NEAR(score->full_solve.energy.value, 0, 4 * score->tracer_noise / 8 + 0.005);
   EXPECT_LT(score->tracer_noise, 0.02);
   EXPECT_LT(score->streamed.full_solve_rel_l2.value, 1e-4);
   // The noise is taken off. What is left is how far its estimate is off: of 24 surfaces of 15 degrees of freedom, twice at most.
-  EXPECT_LT(score->full_solve.rel_l2.value, 1.5 * score->tracer_noise);
+  EXPECT_LT(score->full_solve.rel_l2.value, 1.5 * score->tracer_noise + 0.005);
 }
 
 TEST_F(SeenScene, BlackWallsHaveAnIrradianceToo) {
