@@ -13,6 +13,7 @@ namespace {
 
 constexpr size_t kMostPairs = 400;  // pieces of one place: past this it is crowded, and crumbs are joined by nearness anyway
 constexpr double kOwnPatch = 0.1;   // of a crumb's largest area: a fenced one that is larger has a patch of its own
+constexpr int kSteps = 2;           // from crumb to crumb to a patch: out of the corner of a room
 constexpr double kTiny = 0.02;      // likewise: crumbs that are less together join a patch of another orientation
 
 class Labeller {
@@ -30,9 +31,12 @@ class Labeller {
     listMembers();
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) { judge(i); });
     std::vector<uint32_t> host(sides_.size(), kNobody);
-    tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
-      if (kind_[i] == Kind::kCrumb) host[i] = goesOnIn(i);
-    });
+    for (int step = 0; step < kSteps; ++step) {
+      const std::vector<uint32_t> before = host;
+      tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
+        if (kind_[i] == Kind::kCrumb && host[i] == kNobody) host[i] = goesOnIn(i, before);
+      });
+    }
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       if (kind_[i] == Kind::kCrumb && host[i] == kNobody && isSealed(i)) kind_[i] = Kind::kSealed;
     });
@@ -147,8 +151,9 @@ class Labeller {
     kind_[root] = area < crumb_ ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
   }
 
-  // The component, not a crumb, that a crumb shares most open border with, mostly in the next cell; kNobody: none.
-  uint32_t goesOnIn(size_t crumb) const {
+  // The component, not a crumb, that a crumb shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
+  // none.
+  uint32_t goesOnIn(size_t crumb, const std::vector<uint32_t>& host) const {
     std::vector<std::pair<uint32_t, double>> hosts;
     for (const uint32_t i : membersOf(crumb)) {
       const Polygon& polygon = piece(i).polygon;
@@ -163,7 +168,7 @@ class Labeller {
         const Point next = a + side * 0.5 + outward * kBorderCells - normal * (sides_[i].back ? -kBorderCells : kBorderCells);
         Cell cell;
         for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d]));
-        if (cell != piece(i).cell || isFenced(i)) addHosts(i, k, cell, hosts);
+        if (cell != piece(i).cell || isFenced(i)) addHosts(i, k, cell, host, hosts);
       }
     }
     uint32_t best = kNobody;
@@ -176,22 +181,24 @@ class Labeller {
     return best;
   }
 
-  void addHosts(uint32_t crumb_side, size_t border, const Cell& cell, std::vector<std::pair<uint32_t, double>>& hosts) const {
+  void addHosts(uint32_t crumb_side, size_t border, const Cell& cell, const std::vector<uint32_t>& host,
+                std::vector<std::pair<uint32_t, double>>& hosts) const {
     Side place = sides_[crumb_side];
     place.key = hilbertKey(cell);
     const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
     const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
     for (auto s = first; s != last; ++s) {
       const auto j = static_cast<size_t>(s - sides_.begin());
-      if (kind_[root_[j]] != Kind::kWhole) continue;
+      const uint32_t to = kind_[root_[j]] == Kind::kWhole ? root_[j] : host[root_[j]];
+      if (to == kNobody) continue;
       for (const SharedBorder& shared : sharedBorders(piece(crumb_side).polygon, piece(j).polygon, kBorderCells)) {
         if (shared.side_p != border || (fences_ && !fences_->isOpen(at(crumb_side), at(j), shared))) continue;
         const double l = length(shared.line.b - shared.line.a);
-        const auto host = std::find_if(hosts.begin(), hosts.end(), [&](const auto& h) { return h.first == root_[j]; });
-        if (host == hosts.end()) {
-          hosts.emplace_back(root_[j], l);
+        const auto known = std::find_if(hosts.begin(), hosts.end(), [&](const auto& h) { return h.first == to; });
+        if (known == hosts.end()) {
+          hosts.emplace_back(to, l);
         } else {
-          host->second += l;
+          known->second += l;
         }
       }
     }
