@@ -14,7 +14,9 @@ constexpr auto kPublishEvery = std::chrono::milliseconds(50);
 // Cells that the observer moves before the choice of tiles is looked at again.
 constexpr float kReaimCells = 4;
 
-// Distance to the facet, kNever if the ray misses it. Möller and Trumbore. Fast, Minimum Storage Ray/Triangle
+}  // namespace
+
+// Möller and Trumbore. Fast, Minimum Storage Ray/Triangle
 // Intersection. 1997. Neighbouring tiles' corners are quantised differently: the borders overlap by a thousandth.
 float distanceTo(const Facet& facet, const RayLine& ray, bool& front) {
   constexpr float kOverlap = 1e-3f;
@@ -31,8 +33,6 @@ float distanceTo(const Facet& facet, const RayLine& ray, bool& front) {
   if (v < -kOverlap || u + v > 1 + kOverlap) return kNever;
   return dot(facet.to_third, q) * inverse;
 }
-
-}  // namespace
 
 FacetScene::Hit FacetScene::nearest(const RayLine& ray) const {
   Hit best;

@@ -20,6 +20,9 @@ struct Facet {
   uint8_t patch = 0;                 // of its tile
 };
 
+// Distance along the ray to the facet, 3e38 if it misses; front: from which side.
+float distanceTo(const Facet& facet, const RayLine& ray, bool& front);
+
 struct TileFacets {
   uint32_t tile = 0;
   std::vector<Facet> facets;  // in the order of the tree

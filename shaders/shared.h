@@ -171,7 +171,7 @@ struct Light {
 struct PatchLook {
   vec4 albedo;
   vec4 emission;  // W/m2
-  vec4 direct;    // irradiance from lamps and sky, W/m2
+  vec4 direct;    // irradiance from lamps, lights of the file and sky, W/m2
 };
 struct InterpolatePush {
   uint first;  // vertex

@@ -121,6 +121,9 @@ int main(int argc, char** argv) {
   app.add_option("--sun", texts.sun, "towards the sun: azimuth,elevation (degrees) or x,y,z");
   app.add_option("--sun-irradiance", texts.sun_irradiance, "r,g,b, W/m2 on a surface that faces it");
   app.add_option("--sky", texts.sky, "r,g,b of its radiance, W/(m2 sr); three more: added towards the zenith");
+  app.add_option("--lights", o.lights, "factor on the lights of the scene's file, 0: without them")
+      ->check(CLI::Range(0.0, 1e9))
+      ->capture_default_str();
   app.add_flag("--lamps-only,--night", o.lamps_only, "neither sun nor sky");
   app.add_flag("--no-difference", no_difference, "no full-world solve to compare with");
   app.add_flag("--validate", o.device.validate, "run under the Vulkan validation layers; any message is an error");

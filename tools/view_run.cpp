@@ -12,6 +12,7 @@
 #include "runtime/updater.h"
 #include "stream/streamer.h"
 #include "tools/view_light.h"
+#include "tools/view_lights.h"
 #include "tools/view_picture.h"
 
 namespace ff::view {
@@ -31,19 +32,43 @@ double msSince(Clock::time_point start) {
 
 json triple(Vec3 v) { return json::array({v.x, v.y, v.z}); }
 
-// Where nothing was said about the light: sun and sky for worlds that see them, the lamps alone for those that do not.
+// Where nothing was said about the light: sun and sky for worlds that see them, the lamps alone for those that do not. The
+// strongest directional light of the file is the sun; the sky that nobody named then keeps its ratio to it.
 struct Lighting {
   Sun sun;
   runtime::Sky sky;
+  std::vector<formats::Light> lights;  // of the file, without what has become the sun
 };
 
-Lighting lightingFor(const RunOptions& options, const CameraPath& camera, const ViewScene& scene) {
+float strength(Vec3 irradiance) { return irradiance.x + irradiance.y + irradiance.z; }
+
+Lighting lightingFor(const RunOptions& options, const CameraPath& camera, const ViewScene& scene,
+                     std::span<const formats::Light> of_file) {
   Lighting l;
+  const Sun usual{normalized({0.512f, 0.768f, 0.384f}), {13.0f, 11.8f, 9.6f}};
+  const bool sun_named = options.sun || camera.sun || options.lamps_only;
+  for (formats::Light light : of_file) {
+    light.color_intensity *= options.lights;
+    if (light.color_intensity == Vec3{} || (light.kind == formats::Light::kDirectional && sun_named)) continue;
+    l.lights.push_back(std::move(light));
+  }
   if (options.lamps_only) return l;
   const bool sealed = openness(scene) < 0.01f;
   if (!sealed) {
-    l.sun = {normalized({0.512f, 0.768f, 0.384f}), {13.0f, 11.8f, 9.6f}};
+    l.sun = usual;
     l.sky = skyOf({0.9f, 1.15f, 1.5f}, {0.1f, 0.3f, 0.6f});
+  }
+  auto sun = l.lights.end();
+  for (auto it = l.lights.begin(); it != l.lights.end(); ++it)
+    if (it->kind == formats::Light::kDirectional &&
+        (sun == l.lights.end() || strength(it->color_intensity) > strength(sun->color_intensity)))
+      sun = it;
+  if (sun != l.lights.end()) {
+    l.sun = {sun->direction * -1.0f, sun->color_intensity};
+    const float ratio = strength(l.sun.irradiance) / strength(usual.irradiance);
+    l.sky.l0 *= ratio;
+    for (Vec3& gradient : l.sky.l1) gradient *= ratio;
+    l.lights.erase(sun);
   }
   l.sun = options.sun.value_or(camera.sun.value_or(l.sun));
   l.sky = options.sky.value_or(camera.sky.value_or(l.sky));
@@ -61,7 +86,7 @@ struct Flight {
   Lighting light;
   SunRaster raster;
   Renderer renderer;
-  runtime::NodeValues sun_on_nodes;     // irradiance
+  runtime::NodeValues direct_on_nodes;  // irradiance from the sun and the lights of the file
   std::vector<double> source, full;     // of the full solve, 3 per patch
   float radius_m = 0;
   std::string name;                     // of the world's file, without folder and extension
@@ -202,10 +227,16 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
     if (!camera) return camera.error();
     f.camera = std::move(*camera);
   }
-  f.light = lightingFor(f.options, f.camera, f.scene);
+  f.light = lightingFor(f.options, f.camera, f.scene, f.world.info().lights);
   figures["sun"] = {{"direction", triple(f.light.sun.to_sun)}, {"irradiance", triple(f.light.sun.irradiance)}};
   figures["openness"] = openness(f.scene);
 
+  start = Clock::now();
+  std::vector<Vec3> direct = irradianceFrom(f.light.lights, f.scene);
+  for (size_t p = 0; p < direct.size(); ++p) f.scene.lamps[p] += direct[p];
+  figures["lights"] = json::array();
+  for (const formats::Light& light : f.world.info().lights) figures["lights"].push_back(light.name);
+  figures["lights_ms"] = msSince(start);
   auto geometry = uploadGeometry(*f.context, f.scene, weld);
   if (!geometry) return geometry.error();
   f.geometry = std::move(*geometry);
@@ -226,12 +257,11 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
   }
   figures["sun_ms"] = msSince(start);
   std::vector<float> areas;
-  std::vector<Vec3> irradiance;
   for (size_t p = 0; p < f.scene.patches.size(); ++p) {
     areas.push_back(f.scene.patches[p].area_m2);
-    irradiance.push_back(exposure[p] * f.light.sun.irradiance);
+    direct[p] += exposure[p] * f.light.sun.irradiance;
   }
-  f.sun_on_nodes = runtime::aggregateUp(f.world, areas, irradiance);
+  f.direct_on_nodes = runtime::aggregateUp(f.world, areas, direct);
   if (!f.options.compare) return {};
   start = Clock::now();
   f.source = patchSource(f.scene, exposure, f.light.sun, f.light.sky);
@@ -272,7 +302,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
     runtime::Updater updater(*world, **streamer, **solver);
     if (auto taken = updater.setSky(f.light.sky); !taken) return taken.error();
     updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
-      const auto values = f.sun_on_nodes.tile(*world, id);
+      const auto values = f.direct_on_nodes.tile(*world, id);
       std::copy(values.begin(), values.end(), out.begin());
     });
     figures["solver"] = (*solver)->name();

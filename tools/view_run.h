@@ -22,6 +22,7 @@ struct RunOptions {
   std::optional<float> exposure_stops;   // log2 of the factor on radiosity; none: automatic
   std::optional<Sun> sun;                // these three: over the camera file's, over the defaults
   std::optional<runtime::Sky> sky;
+  float lights = 1;                      // factor on the lights of the file; 0: none
   bool lamps_only = false;               // neither sun nor sky
   int iterations = 8;                    // a frame
   int settle = 4000;  // at most, more of them before a picture: until light changes by less than 1e-6
