@@ -16,6 +16,7 @@ namespace ff::bake {
 namespace {
 
 constexpr float kLargestDensity = 16;
+constexpr double kWorthALine = 1e-3;  // of the surface; panes of glass count nothing
 
 // A scene that is copied once something is to change.
 class Cleaner {
@@ -127,14 +128,22 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
     const auto duplicate = findDuplicates(cleaner.scene());
     PlaceSums places(cleaner.scene());
     uint64_t count = 0;
-    for (uint32_t t = 0; t < duplicate.size(); ++t)
-      if (duplicate[t]) {
-        ++count;
-        places.add(t, static_cast<double>(triangleArea(cleaner.scene(), t)));
-      }
+    double twice = 0, all = 0;
+    bool emits = false;
+    for (uint32_t t = 0; t < duplicate.size(); ++t) {
+      const Scene& s = cleaner.scene();
+      const double area = isHole(s, t, 1 / 3.0f, 1 / 3.0f) ? 0 : static_cast<double>(triangleArea(s, t));
+      all += area;
+      if (!duplicate[t]) continue;
+      ++count;
+      twice += area;
+      emits = emits || !(s.materials[s.triangles[t].material].emission == Vec3{});
+      places.add(t, area);
+    }
     if (count > 0) {
-      notes.push_back(counted(count, "triangle") + (count == 1 ? " lies" : " lie") + " where another does and " +
-                      (count == 1 ? "is" : "are") + " left out: " + places.heaviest());
+      if (emits || twice > kWorthALine * all)
+        notes.push_back(counted(count, "triangle") + (count == 1 ? " lies" : " lie") + " where another does and " +
+                        (count == 1 ? "is" : "are") + " left out: " + places.heaviest());
       cleaner.leaveOut(duplicate);
     }
   }

@@ -105,6 +105,8 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   return streaming;
 }
 
+constexpr float kRadiusCells = 12;  // where neither the settings nor a recommendation tell: a world may be in any unit
+
 // What the settings leave at its default is the recommendation's, where it has a say.
 void takeCut(const SolverChoice& choice, FormfieldWorldSettings& s) {
   FormfieldWorldSettings defaults;
@@ -314,7 +316,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   const stream::StreamSettings streaming;
   *settings = {};
   settings->size = sizeof(FormfieldWorldSettings);
-  settings->radius_m = streaming.radius_m;
+  settings->radius_m = 0;
   settings->growth = streaming.growth;
   settings->hysteresis = streaming.hysteresis;
   settings->memory_bytes = streaming.memory_bytes;
@@ -346,6 +348,7 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     auto choice = firstChoice(*device, s, path);
     if (!choice) return choice.error();
     takeCut(*choice, s);
+    if (s.radius_m == 0) s.radius_m = kRadiusCells * own->info().cell_m;
     auto streamer = stream::Streamer::create(*own, streamSettings(s));
     if (!streamer) return streamer.error();
     auto solver = device->makeSolver(*own, *choice);

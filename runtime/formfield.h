@@ -79,7 +79,7 @@ typedef enum FormfieldStorage { FORMFIELD_STORAGE_FLOAT32 = 0, FORMFIELD_STORAGE
 
 typedef struct FormfieldWorldSettings {
   uint32_t size;               /* sizeof(FormfieldWorldSettings) */
-  float radius_m;              /* within it light is computed patch by patch; beyond, ever coarser */
+  float radius_m;              /* within it light is computed patch by patch; beyond, ever coarser; 0: 12 patches' edges */
   float growth;                /* of the radius from level to level */
   float hysteresis;            /* tiles leave this factor farther away than they enter */
   uint64_t memory_bytes;       /* of strips in memory */

@@ -33,6 +33,69 @@ TEST(Import, ReadsATriangleFromGltfWithABufferFileFromGlbAndFromADataUri) {
   EXPECT_EQ(from_glb.name, "a.glb");
 }
 
+TEST(Import, ScaleAndUpTurnAFileToMetresWithYUp) {
+  const TempFolder folder;
+  GltfFile file;
+  file.primitive()["attributes"]["POSITION"] = file.floats({0, 0, 0, 100, 0, 0, 0, 0, 200}, "VEC3");
+  const auto scene = importGltf(file.save(folder, "z.glb"), {.scale = 0.01, .z_up = true});
+  ASSERT_TRUE(scene) << scene.error().line();
+  expectNear(corner(*scene, 0, 1), {1, 0, 0});
+  expectNear(corner(*scene, 0, 2), {0, 2, 0});  // what pointed up still does
+  EXPECT_FALSE(importGltf(file.save(folder, "z.glb"), {.scale = 0}));
+}
+
+TEST(Import, InstancesAtOnePlaceCountOnceAndAreNamed) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  file.json["meshes"][0]["name"] = "bulb";
+  file.json["nodes"] = {{{"mesh", 0}}, {{"mesh", 0}, {"name", "lamp 2"}}, {{"mesh", 0}, {"translation", {1, 0, 0}}}};
+  file.json["scenes"][0]["nodes"] = {0, 1, 2};
+  const Scene scene = importGood(file.save(folder, "a.glb"));
+  EXPECT_EQ(scene.triangles.size(), 2u);
+  EXPECT_TRUE(warns(scene, "1 instance of mesh \"bulb\"") && warns(scene, "node \"lamp 2\""));
+}
+
+TEST(Import, ExtrasLeaveOutOccludeAndNameLampsAndChildrenInheritThem) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  file.json["materials"] = {{{"name", "white"}, {"emissiveFactor", {1, 1, 1}}}};
+  file.primitive()["material"] = 0;
+  const auto ours = [](GltfFile::Json what) { return GltfFile::Json{{"formfield", std::move(what)}}; };
+  file.json["nodes"] = {{{"children", {1, 2}}, {"extras", ours({{"lamp", "street"}})}},
+                        {{"mesh", 0}},
+                        {{"mesh", 0}, {"translation", {1, 0, 0}}, {"extras", ours({{"lamp", "door"}, {"occlude_only", true}})}},
+                        {{"mesh", 0}, {"translation", {2, 0, 0}}, {"extras", ours({{"include", false}})}},
+                        {{"mesh", 0}, {"translation", {3, 0, 0}}, {"extras", "a text of someone else's"}}};
+  file.json["scenes"][0]["nodes"] = {0, 3, 4};
+  const Scene scene = importGood(file.save(folder, "a.glb"));
+  ASSERT_EQ(scene.triangles.size(), 3u);
+  const auto material = [&](size_t t) { return scene.materials[scene.triangles[t].material]; };
+  EXPECT_EQ(material(0).lamp_group, "street");
+  EXPECT_FALSE(material(0).occlude_only);
+  EXPECT_EQ(material(1).lamp_group, "door");
+  EXPECT_TRUE(material(1).occlude_only);
+  EXPECT_EQ(material(2).lamp_group, "");
+  file.json["nodes"][4]["extras"] = ours({{"exclude", true}});
+  EXPECT_NE(importBad(file.save(folder, "b.glb")).find("\"exclude\" is unknown"), std::string::npos);
+}
+
+TEST(Import, ASceneFarAwayKeepsItsShape) {
+  const TempFolder folder;
+  const auto at = [&](double x, const char* name) {
+    GltfFile file;
+    file.withTriangle();
+    file.json["nodes"][0]["translation"] = {x, 0, -x};
+    return importGood(file.save(folder, name));
+  };
+  const Scene here = at(0, "a.glb"), near = at(3, "b.glb"), far = at(1e6 + 0.5, "c.glb");
+  EXPECT_EQ(near.origin, here.origin);
+  expectNear(areaVector(far, 0), areaVector(here, 0), 1e-6f);  // in float alone the corners would be 1/16 m apart or nothing
+  for (int a = 0; a < 3; ++a)
+    EXPECT_NEAR(far.origin[static_cast<size_t>(a)] + static_cast<double>(corner(far, 0, 0)[a]), a == 0 ? 1e6 + 0.5 : a == 1 ? 0 : -1e6 - 0.5, 1e-6);
+}
+
 TEST(Import, ContentHashChangesWithACoordinateAndAMaterialButNotWithANodeName) {
   const TempFolder folder;
   const auto hash = [&](const char* name, auto&& edit) {
