@@ -30,12 +30,13 @@ struct Expected {
 
 TEST(ImportShared, RealScenesHaveTheirTrianglesAndExtents) {
   SKIP_WITHOUT(kScenes / "cornell");
+  constexpr size_t kTwice = 98 * 12;  // light boxes that stand where others do
   const Expected all[] = {
       {"cornell/cornell.glb", 38, {0.556f, 0.549f, 0.559f}, 0.001f},
       {"living-room/living-room.glb", 143035, {6, 3, 4}, 0.5f},
       {"staircase/staircase.glb", 262578, {7, 7, 10}, 0.5f},
       {"classroom/classroom.glb", 103832, {222, 3, 222}, 0.5f},
-      {"quake_e3m4/quake_e3m4.glb", 20356, {200, 72, 159}, 0.6f},
+      {"quake_e3m4/quake_e3m4.glb", 20356 - kTwice, {200, 72, 159}, 0.6f},
       {"minecraft_builds/minecraft_builds.glb", 228728, {256, 48, 384}, 0.01f},
       {"minetest/minetest_v7_108.glb", 127990, {108, 100, 108}, 0.01f},
       {"minetest/minetest_v7_512.glb", 1952574, {512, 128, 512}, 0.01f},
@@ -43,7 +44,7 @@ TEST(ImportShared, RealScenesHaveTheirTrianglesAndExtents) {
       {"littlest_tokyo/LittlestTokyo_draco.glb", 141802, {545, 599, 552}, 1},
       {"draco/cornell_draco.glb", 38, {0.556f, 0.549f, 0.559f}, 0.001f},
       {"draco/classroom_draco.glb", 103832, {222, 3, 222}, 0.5f},
-      {"draco/quake_e3m4_draco.glb", 20356, {200, 72, 159}, 0.6f},
+      {"draco/quake_e3m4_draco.glb", 20356 - kTwice, {200, 72, 159}, 0.6f},
       {"khronos/Box/glTF/Box.gltf", 12, {1, 1, 1}, 1e-6f},
       {"khronos/Duck/glTF-Binary/Duck.glb", 4212, {1.65f, 1.54f, 1.15f}, 0.01f},
       {"khronos/Lantern/glTF/Lantern.gltf", 5394, {15.5f, 25.7f, 4.6f}, 0.05f},
