@@ -30,11 +30,12 @@ struct Expected {
 
 TEST(ImportShared, RealScenesHaveTheirTrianglesAndExtents) {
   SKIP_WITHOUT(kScenes / "cornell");
-  constexpr size_t kTwice = 98 * 12;  // light boxes that stand where others do
+  // Less 98 light boxes that stand where others do, and clear glass, which stops no light.
+  constexpr size_t kTwice = 98 * 12;
   const Expected all[] = {
       {"cornell/cornell.glb", 38, {0.556f, 0.549f, 0.559f}, 0.001f},
-      {"living-room/living-room.glb", 143035, {6, 3, 4}, 0.5f},
-      {"staircase/staircase.glb", 262578, {7, 7, 10}, 0.5f},
+      {"living-room/living-room.glb", 143035 - 11166, {6, 3, 4}, 0.5f},
+      {"staircase/staircase.glb", 262578 - 12720, {7, 7, 10}, 0.5f},
       {"classroom/classroom.glb", 103832, {222, 3, 222}, 0.5f},
       {"quake_e3m4/quake_e3m4.glb", 20356 - kTwice, {200, 72, 159}, 0.6f},
       {"minecraft_builds/minecraft_builds.glb", 228728, {256, 48, 384}, 0.01f},
