@@ -100,6 +100,8 @@ struct Sampling {
   std::vector<uint32_t> clamped_patches;  // by number, of level 0
 };
 
+constexpr float kMostWeight = 2;  // of a lamp: what the format can hold. Estimates of 1 may lie above it.
+
 // Appends what a row gets of each lamp group, relative to the group's emission.
 void appendLamps(const ExchangeRow& row, float area_m2, std::span<const formats::LampGroup> groups, uint8_t number,
                  std::vector<formats::LampLight>& lamps) {
@@ -107,7 +109,7 @@ void appendLamps(const ExchangeRow& row, float area_m2, std::span<const formats:
     formats::LampLight lamp{number, light.group, {}};
     for (int c = 0; c < 3; ++c)
       if (const float whole = groups[light.group].emission[c] * area_m2; whole > 0)
-        lamp.weight[c] = std::min(1.0f, static_cast<float>(light.rgb[static_cast<size_t>(c)] / static_cast<double>(whole)));
+        lamp.weight[c] = std::min(kMostWeight, static_cast<float>(light.rgb[static_cast<size_t>(c)] / static_cast<double>(whole)));
     if (!(lamp.weight == Vec3{})) lamps.push_back(lamp);
   }
 }

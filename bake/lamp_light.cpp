@@ -99,7 +99,10 @@ LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) con
 }
 
 bool LampLight::sees(const SurfacePoint& from, const LampTree::Point& to) const {
-  // Holes of an emitter are not asked for: densities are per solid area, spread over the whole.
+  if (scene_.materials[scene_.triangles[to.triangle].material].cutout) {  // points are spread over the whole, holes included
+    const auto [b, c] = barycentric(scene_, to.triangle, to.position);
+    if (isHole(scene_, to.triangle, b, c)) return false;
+  }
   const Vec3 end = to.position + to.normal * caster_.surfaceOffset(to.triangle), way = end - from.position;
   const float distance = length(way);
   return distance > 0 && !caster_.occluded({from.position, way / distance}, distance);

@@ -55,7 +55,8 @@ struct Node {
 struct LampLight {
   uint8_t row = 0;           // index into nodes
   uint16_t group = 0;        // index into WorldInfo::lamp_groups
-  Vec3 weight;               // 0..1: the group's form factor, weighted by how bright each of its patches is
+  Vec3 weight;               // 0..2: the group's form factor, weighted by how bright each of its patches is; an estimate, so
+                             // that it may lie a little above 1
 };
 
 // The entries of a strip whose columns lie in one partner tile (of the strip's own level).

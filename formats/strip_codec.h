@@ -60,6 +60,7 @@ inline constexpr uint32_t kMaxEscapeBytes = 4;  // of one entry: a byte for the 
 // are invalid. What a row's total is stored as: its sixteenth.
 inline constexpr uint16_t kFractionOne = 31 << 11;
 inline constexpr float kRowTotalUnit = 16;
+inline constexpr float kLampWeightUnit = 2;  // of a lamp's weights, likewise: an estimate of 1 may lie above
 uint16_t packFraction(float v);  // clamps; nearest, ties to even
 float unpackFraction(uint16_t code);
 

@@ -102,8 +102,8 @@ Result<void> decodeLamps(const TileInfo& info, const std::byte* raw, const Strip
       for (size_t c = 0; c < 3; ++c) {
         const auto step = planeValue<uint16_t>(raw + layout.lampWeights() + 2 * n * c, n, k);
         const auto code = static_cast<uint16_t>(c == 0 ? red : red + step);
-        if (code > kFractionOne) return bad("a lamp's weight is above 1");
-        lamp.weight[static_cast<int>(c)] = unpackFraction(code);
+        if (code > kFractionOne) return bad("a lamp's weight is above 2");
+        lamp.weight[static_cast<int>(c)] = kLampWeightUnit * unpackFraction(code);
       }
     }
   }

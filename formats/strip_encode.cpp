@@ -125,7 +125,7 @@ Result<void> checkLamps(const Strip& strip) {
     if (k > 0 && std::pair(lamp.row, lamp.group) <= std::pair(strip.lamps[k - 1].row, strip.lamps[k - 1].group))
       return bad("is not in order of row and group");
     for (int c = 0; c < 3; ++c)
-      if (!(lamp.weight[c] >= 0) || !(lamp.weight[c] <= 1)) return bad("its weight is outside 0..1");
+      if (!(lamp.weight[c] >= 0) || !(lamp.weight[c] <= kLampWeightUnit)) return bad("its weight is outside 0..2");
   }
   return {};
 }
@@ -138,11 +138,11 @@ void putLamps(std::byte* raw, const StripLayout& layout, const Strip& strip) {
     const LampLight& lamp = strip.lamps[k];
     ++count[lamp.row];
     putPlanes(raw + layout.lampGroups(), n, k, lamp.group);
-    const uint16_t red = packFraction(lamp.weight.x);
+    const uint16_t red = packFraction(lamp.weight.x / kLampWeightUnit);
     putPlanes(raw + layout.lampWeights(), n, k, red);
     for (int c = 1; c < 3; ++c)
       putPlanes(raw + layout.lampWeights() + 2 * n * static_cast<size_t>(c), n, k,
-                static_cast<uint16_t>(packFraction(lamp.weight[c]) - red));
+                static_cast<uint16_t>(packFraction(lamp.weight[c] / kLampWeightUnit) - red));
   }
   for (size_t i = 0; i < layout.nodes; ++i) putPlanes(raw + layout.lampCount(), layout.nodes, i, count[i]);
 }

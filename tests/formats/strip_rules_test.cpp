@@ -75,7 +75,7 @@ Strip sampleStrip() {
   s.rows = {0, 0, 1, 0};
   s.columns = {3, 9, 4, 0};
   s.counts = {1, 7, 5, 892};
-  s.lamps = {{1, 4, {0.25f, 0.25f, 0.5f}}, {1, 9, {1, 1, 1}}};
+  s.lamps = {{1, 4, {0.25f, 0.25f, 0.5f}}, {1, 9, {2, 2, 2}}};
   return s;
 }
 
@@ -133,7 +133,7 @@ TEST(StripRules, LampsAndSkyHoldPossibleValues) {
   expectRefused("sky quadratic", [&](OpenStrip& s) { setByte(s, s.layout().skyQuadratic() + 2 * 4, 128); });
   expectRefused("row total", [&](OpenStrip& s) { u16(s, s.layout().rowTotal(), 2, 1, 0xffff); });
   expectRefused("weight", [&](OpenStrip& s) { u16(s, s.layout().lampWeights(), 2, 0, kFractionOne + 1); });
-  expectRefused("weight", [&](OpenStrip& s) { u16(s, s.layout().lampWeights() + 8, 2, 1, 1); });  // 1 and a step in blue
+  expectRefused("weight", [&](OpenStrip& s) { u16(s, s.layout().lampWeights() + 8, 2, 1, 1); });  // 2 and a step in blue
   expectRefused("not in order", [&](OpenStrip& s) { u16(s, s.layout().lampGroups(), 2, 1, 4); });
   expectRefused("not in order", [&](OpenStrip& s) { u16(s, s.layout().lampGroups(), 2, 1, kNoLampGroup); });
   expectRefused("contradict", [&](OpenStrip& s) { u16(s, s.layout().lampCount(), 2, 1, 9); });

@@ -157,7 +157,7 @@ class BadNumbersAtTheDoor : public testing::TestWithParam<FormfieldSolver> {
     EXPECT_EQ(formfieldGetStats(world_, &stats), FORMFIELD_OK);
     return stats;
   }
-  static constexpr FormfieldSky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}};
+  static constexpr FormfieldSky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
 
   TestWorld test_;
   FormfieldDevice device_ = nullptr;
