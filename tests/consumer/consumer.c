@@ -30,7 +30,7 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
 
   float at[3], lamp_at[3];
   for (int a = 0; a < 3; ++a) at[a] = lamp_at[a] = 0.5f * (info.lo[a] + info.hi[a]);
-  const FormfieldSky sky = {{0.9f, 1.15f, 1.5f}, {{0, 0.1f, 0}, {0, 0.3f, 0}, {0, 0.6f, 0}}};
+  const FormfieldSky sky = {{0.9f, 1.15f, 1.5f}, {{0, 0.1f, 0}, {0, 0.3f, 0}, {0, 0.6f, 0}}, {{0}}};
   formfieldSetSky(world, &sky);
   formfieldSetDirectLight(world, lamp, lamp_at);
 

@@ -39,7 +39,7 @@ static int makeDevice(FormfieldVulkanSettings* s) {
 static int run(FormfieldDevice device, const char* path) {
   FormfieldWorld world;
   if (formfieldOpenWorld(device, path, NULL, &world) != FORMFIELD_OK) return fail(device, path);
-  const FormfieldSky sky = {{1, 1, 1}, {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}};
+  const FormfieldSky sky = {{1, 1, 1}, {{0}}, {{0}}};
   const float at[3] = {0, 2, 0}, up[3] = {0, 1, 0};
   float irradiance[3] = {0, 0, 0};
   FormfieldStats stats;

@@ -51,7 +51,7 @@ cheapest, best = page["answers"]
 assert cheapest["at_most_rel_l2"] == 0.03 and cheapest["written"] is None
 assert best["at_most_relight_ms"] == 1 and best["at_most_memory_mib"] == 256
 rooms = [a for a in settings["default"]["accuracy"] if a["light"] == "one lamp group lit"]
-assert rooms and 0 < rooms[0]["rel_l2_error"] < rooms[0]["rel_l2"], "the lit room hangs on one observer"
+assert rooms and 0 < rooms[0]["rel_l2_error"] < 0.05, "the lit room hangs on one observer"
 assert "for one lamp group lit at " in page["facts"]["error"], page["facts"]["error"]
 for answer in page["answers"]: assert answer["setting"] is None or answer["setting"] in settings
 assert {"speed-accuracy-sun-and-sky", "speed-accuracy-lamps"} <= {c["id"] for c in page["charts"]}

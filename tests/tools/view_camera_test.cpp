@@ -102,7 +102,7 @@ TEST_F(Camera, WalksOverAnOpenLandscapeAtEyeHeight) {
     const float x = 4 + 6 * static_cast<float>(i);
     addBox(scene, {x, 0, 20}, {x + 1, 2 + static_cast<float>(i % 3), 21}, 1, false);
   }
-  for (formats::Node& n : scene.patches) n.sky = n.quanta;
+  for (formats::Node& n : scene.patches) n.sky_fraction = 1;
   EXPECT_EQ(openness(scene), 1);
   const CameraPath path = findPath(scene);
   for (double t = path.start(); t <= path.end(); t += 0.5) EXPECT_NEAR(path.at(t).eye.y, 1.6f, 0.01f);
