@@ -121,7 +121,9 @@ void SkyGuide::close(Vec3 up) {
 Vec3 SkyGuide::direction(double choice, float u, float v) const {
   const auto found = std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), choice * cumulative_.back()), cumulative_.end() - 1);
   const uint32_t bin = bins_[static_cast<size_t>(found - cumulative_.begin())];
-  return unfolded(placeIn(bin % kBins, u), placeIn(bin / kBins, v));
+  // Off the bin's border by more than rounding, which could put it into a bin without a weight.
+  const auto inside = [](float at) { return std::clamp(at, 1e-4f, 1 - 1e-4f); };
+  return unfolded(placeIn(bin % kBins, inside(u)), placeIn(bin / kBins, inside(v)));
 }
 
 // An area dx dy of the map spans dx dy / |p|^3 steradians, where p = direction / (|x| + |y| + |z|) is the point on the octahedron.
