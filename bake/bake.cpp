@@ -28,6 +28,7 @@
 #include "bake/scene_names.h"
 #include "bake/spatial_index.h"
 #include "bake/surface_sampling.h"
+#include "formats/strip_codec.h"
 #include "formats/writer.h"
 #include "tools/version.h"
 
@@ -100,8 +101,6 @@ struct Sampling {
   std::vector<uint32_t> clamped_patches;  // by number, of level 0
 };
 
-constexpr float kMostWeight = 2;  // of a lamp: what the format can hold. Estimates of 1 may lie above it.
-
 // Appends what a row gets of each lamp group, relative to the group's emission.
 void appendLamps(const ExchangeRow& row, float area_m2, std::span<const formats::LampGroup> groups, uint8_t number,
                  std::vector<formats::LampLight>& lamps) {
@@ -109,7 +108,7 @@ void appendLamps(const ExchangeRow& row, float area_m2, std::span<const formats:
     formats::LampLight lamp{number, light.group, {}};
     for (int c = 0; c < 3; ++c)
       if (const float whole = groups[light.group].emission[c] * area_m2; whole > 0)
-        lamp.weight[c] = std::min(kMostWeight, static_cast<float>(light.rgb[static_cast<size_t>(c)] / static_cast<double>(whole)));
+        lamp.weight[c] = std::min(formats::kLampWeightUnit, static_cast<float>(light.rgb[static_cast<size_t>(c)] / static_cast<double>(whole)));
     if (!(lamp.weight == Vec3{})) lamps.push_back(lamp);
   }
 }
@@ -147,7 +146,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
-    const double offset = static_cast<double>(mix64(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull) >> 11) * 0x1p-53;
+    const double offset = unitOf(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull);
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.rays))))

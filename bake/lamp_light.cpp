@@ -24,6 +24,11 @@ double luminance(Vec3 c) {
 
 }  // namespace
 
+LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group) {
+  const auto at = std::lower_bound(lamps.begin(), lamps.end(), group, [](const LampIrradiance& l, uint16_t g) { return l.group < g; });
+  return at != lamps.end() && at->group == group ? *at : *lamps.insert(at, {group, {}});
+}
+
 LampLight::LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t rays,
                      uint64_t seed)
     : scene_(scene), set_(set), caster_(caster), tree_(tree), row_rays_(rays), most_rays_(std::max(rays, kLeastRays)), seed_(seed),
@@ -110,10 +115,8 @@ bool LampLight::sees(const SurfacePoint& from, const LampTree::Point& to) const 
 
 void LampLight::add(uint32_t emitter, double weight) {
   const Patch& p = set_.patches[emitter];
-  auto at = std::lower_bound(light_.begin(), light_.end(), p.lamp_group,
-                             [](const LampIrradiance& l, uint16_t group) { return l.group < group; });
-  if (at == light_.end() || at->group != p.lamp_group) at = light_.insert(at, {p.lamp_group, {}});
-  for (int c = 0; c < 3; ++c) at->rgb[static_cast<size_t>(c)] += weight * static_cast<double>(p.emission[c]);
+  LampIrradiance& light = entryOf(light_, p.lamp_group);
+  for (int c = 0; c < 3; ++c) light.rgb[static_cast<size_t>(c)] += weight * static_cast<double>(p.emission[c]);
 }
 
 // With p the density of the row's rays (cosine / pi) and q that of rays towards lamps, both per steradian, N and K their numbers,

@@ -18,6 +18,9 @@ struct LampIrradiance {
   std::array<double, 3> rgb{};
 };
 
+// The entry of a group in a list by group; a new one where there is none.
+LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group);
+
 // One patch at a time; keep one a thread. The order of calls is aim(), hit() for each ray of the row that meets an emitter,
 // finish().
 class LampLight {

@@ -152,9 +152,8 @@ namespace {
 
 void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradiance>& sum) {
   for (const LampIrradiance& lamp : more) {
-    auto at = std::lower_bound(sum.begin(), sum.end(), lamp.group, [](const LampIrradiance& l, uint16_t group) { return l.group < group; });
-    if (at == sum.end() || at->group != lamp.group) at = sum.insert(at, {lamp.group, {}});
-    for (size_t c = 0; c < 3; ++c) at->rgb[c] += lamp.rgb[c];
+    LampIrradiance& light = entryOf(sum, lamp.group);
+    for (size_t c = 0; c < 3; ++c) light.rgb[c] += lamp.rgb[c];
   }
 }
 

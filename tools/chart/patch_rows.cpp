@@ -25,7 +25,7 @@ PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
     double sum = row.sky_m2 + row.absorbed_m2;
     for (const double x : row.area_m2) sum += x;
     if (quanta > 0) {
-      sampleRow(row, areas[i], quanta, static_cast<double>(mix64(i + 1) >> 11) * 0x1p-53, sampled);
+      sampleRow(row, areas[i], quanta, unitOf(i + 1), sampled);
       for (size_t k = 0; k < sampled.column.size(); ++k) {
         rows.column.push_back(sampled.column[k]);
         rows.f.push_back(static_cast<float>(sampled.count[k]) / static_cast<float>(quanta));
