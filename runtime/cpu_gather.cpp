@@ -119,23 +119,35 @@ class CpuGather final : public Solver {
     std::atomic<uint32_t> unsound = 0;
     pool_.run(static_cast<uint32_t>(parts_.size() - 1), [&](uint32_t part) {
       const std::span leaves = std::span(matrix_->leaves).subspan(parts_[part], parts_[part + 1] - parts_[part]);
-      kernel_(job, parts_[part], parts_[part + 1]);
-      if (omega != 1) {
-        for (const uint32_t s : leaves) {
-          const Vec4 old = before_[s], m = source_[s], b = to_[s];
-          to_[s] = {std::max(m.x, old.x + omega * (b.x - old.x)), std::max(m.y, old.y + omega * (b.y - old.y)),
-                    std::max(m.z, old.z + omega * (b.z - old.z)), 0};
-        }
-      }
-      for (const uint32_t s : leaves) {
-        if (isSound(to_[s])) continue;
-        to_[s] = source_[s];
-        ++unsound;
-      }
+      bool sound = kernel_(job, parts_[part], parts_[part + 1]);
+      if (omega != 1) sound = stepFurther(leaves, omega);
+      if (!sound) unsound += repair(leaves);
     });
     repaired_ += unsound;
     refine();
     from_.swap(to_);
+  }
+
+  // Whether all of them are sound.
+  bool stepFurther(std::span<const uint32_t> leaves, float omega) {
+    bool sound = true;
+    for (const uint32_t s : leaves) {
+      const Vec4 old = before_[s], m = source_[s], b = to_[s];
+      to_[s] = {std::max(m.x, old.x + omega * (b.x - old.x)), std::max(m.y, old.y + omega * (b.y - old.y)),
+                std::max(m.z, old.z + omega * (b.z - old.z)), 0};
+      sound &= isSound(to_[s]);
+    }
+    return sound;
+  }
+
+  uint32_t repair(std::span<const uint32_t> leaves) {
+    uint32_t repaired = 0;
+    for (const uint32_t s : leaves) {
+      if (isSound(to_[s])) continue;
+      to_[s] = source_[s];
+      ++repaired;
+    }
+    return repaired;
   }
 
   // Of the last step, over the leaves.

@@ -1,5 +1,7 @@
 #include "runtime/gather_kernels.h"
 
+#include "runtime/sound_light.h"
+
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
@@ -13,7 +15,8 @@ const Float4& asFloat4(const Vec4& v) { return reinterpret_cast<const Float4&>(v
 
 }  // namespace
 
-void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
+bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
+  bool sound = true;
   for (uint32_t i = begin; i < end; ++i) {
     const uint32_t slot = job.leaves[i];
     Float4 even{}, odd{};  // two chains, so that an addition need not wait for the one before
@@ -30,7 +33,9 @@ void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
     }
     reinterpret_cast<Float4&>(job.to[slot]) =
         asFloat4(job.source[slot]) + asFloat4(job.reflectance[slot]) * (even + odd);
+    sound &= isSound(job.to[slot]);
   }
+  return sound;
 }
 
 void refineSlots(const LocalMatrix::Refined* refined, const float* child_weight, Vec4* values, uint32_t begin,
@@ -52,7 +57,9 @@ __attribute__((target("avx2,fma"))) inline __m256 loadPair(const Vec4* from, uin
   return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[b >> 16].x), 1);
 }
 
-__attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, uint32_t begin, uint32_t end) {
+__attribute__((target("avx2,fma"))) bool gatherRowsAvx2(const GatherJob& job, uint32_t begin, uint32_t end) {
+  const __m128 sign = _mm_set1_ps(-0.0f), most = _mm_set1_ps(shaders::kMaxRadiosity);
+  __m128 sound = _mm_cmpeq_ps(most, most);
   const __m256i count_mask = _mm256_set1_epi32(0xffff);
   const Vec4* const from = job.from;
   for (uint32_t i = begin; i < end; ++i) {
@@ -72,8 +79,11 @@ __attribute__((target("avx2,fma"))) void gatherRowsAvx2(const GatherJob& job, ui
     even = _mm256_add_ps(even, odd);
     const __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));
     const __m128 reflected = _mm_mul_ps(sum, _mm_loadu_ps(&job.reflectance[slot].x));
-    _mm_storeu_ps(&job.to[slot].x, _mm_add_ps(_mm_loadu_ps(&job.source[slot].x), reflected));
+    const __m128 light = _mm_add_ps(_mm_loadu_ps(&job.source[slot].x), reflected);
+    sound = _mm_and_ps(sound, _mm_cmple_ps(_mm_andnot_ps(sign, light), most));  // false for NaN
+    _mm_storeu_ps(&job.to[slot].x, light);
   }
+  return _mm_movemask_ps(sound) == 0xf;
 }
 
 }  // namespace

@@ -20,15 +20,16 @@ struct GatherJob {
   Vec4* to = nullptr;                 // per slot; must not overlap `from`
 };
 
-// to[s] = source[s] + reflectance[s] * sum of count * from[column], for s in leaves[begin..end).
-using GatherKernel = void (*)(const GatherJob& job, uint32_t begin, uint32_t end);
+// to[s] = source[s] + reflectance[s] * sum of count * from[column], for s in leaves[begin..end). Whether all of them are
+// sound (sound_light.h): asked of each in its register, since a loop of its own takes a fifth of the time again.
+using GatherKernel = bool (*)(const GatherJob& job, uint32_t begin, uint32_t end);
 
 // values[refined[r].slot] = sum of child_weight * values over its children, for r in [begin, end). No slot of the range
 // is another's child.
 void refineSlots(const LocalMatrix::Refined* refined, const float* child_weight, Vec4* values, uint32_t begin,
                  uint32_t end);
 
-void gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end);
+bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end);
 // Null where this build or this processor has no AVX2 and FMA.
 GatherKernel gatherAvx2();
 

@@ -107,7 +107,7 @@ class VulkanGather final : public VulkanRecorder {
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, change_, refine_, shine_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, change_, refine_, shine_;
   Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
   Buffer faults_;   // one word: values repaired in steps
   Buffer changes_;  // of runMeasuredStep(): a float a work group
@@ -151,6 +151,7 @@ Result<void> VulkanGather::start() {
   const uint64_t range = context_->limits().maxStorageBufferRange;
   const uint64_t most = settings_.max_binding_bytes ? std::min(settings_.max_binding_bytes, range) : range;
   const uint64_t align = std::max<uint64_t>(256, context_->limits().minStorageBufferOffsetAlignment);
+  settings_.entry_bytes = (settings_.entry_bytes + align - 1) / align * align;  // else a second segment for what is left
   segment_bytes_ = std::min(most, settings_.entry_bytes) / align * align;
   if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
       settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMostTiles)
@@ -202,17 +203,19 @@ Result<void> VulkanGather::makePipelines() {
     std::span<const uint32_t> words;
     uint32_t buffers;
     size_t push_bytes;
+    bool variant = false;
   };
   const Wanted list[] = {{&leave_, gather_leave_comp, 2, sizeof(shaders::JobPush)},
                          {&enter_, gather_enter_comp, 6, sizeof(shaders::JobPush)},
                          {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
                          {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
                          {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
+                         {&gather_further_, gather_comp, 8, sizeof(shaders::GatherPush), true},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)},
                          {&shine_, shine_comp, 3, sizeof(shaders::ShinePush)}};
   for (const Wanted& w : list) {
-    auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes));
+    auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes), w.variant);
     if (!made) return made.error();
     *w.pipeline = std::move(*made);
   }
@@ -519,7 +522,8 @@ void VulkanGather::recordChange(VkCommandBuffer c) {
 void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
   for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
     const shaders::GatherPush push{slots_, s, omega};
-    gather_.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+    const ComputePipeline& gather = omega == 1 ? gather_ : gather_further_;
+    gather.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
   }
   // The next step reads what this one wrote, the next iteration overwrites what this one read.
   separate(c);
@@ -592,6 +596,7 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
 
 template <class Omega>
 Result<void> VulkanGather::runSteps(int k, Omega&& omega) {
+  double ms = 0;
   for (int done = 0; done < k;) {
     const int n = std::min(k - done, kIterationsPerSubmit);
     const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
@@ -599,12 +604,12 @@ Result<void> VulkanGather::runSteps(int k, Omega&& omega) {
     auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega); });
     if (!recorded) return recorded;
     if (!took) return took.error();
-    const double before = last_ms_;
     last_ms_ = *took;
     readTime(frame, true);
-    last_ms_ += before;
+    ms += last_ms_;
     done += n;
   }
+  last_ms_ = ms;
   return {};
 }
 
@@ -628,19 +633,21 @@ Result<double> VulkanGather::runMeasuredStep() {
 }
 
 Result<void> VulkanGather::iterate(int k) {
-  last_ms_ = 0;
   return runSteps(k, [] { return 1.0f; });
 }
 
 Result<void> VulkanGather::approach(int k) {
   if (correction_ || !pace_.suits(k)) return iterate(k);
-  last_ms_ = 0;
   const auto first = runMeasuredStep();
   if (!first) return first.error();
+  double ms = last_ms_;
   const auto second = runMeasuredStep();
   if (!second) return second.error();
+  ms += last_ms_;
   pace_.learn(*first, *second);
-  return runSteps(k - 2, [this] { return pace_.omega(); });
+  if (auto ran = runSteps(k - 2, [this] { return pace_.omega(); }); !ran) return ran;
+  last_ms_ += ms;
+  return {};
 }
 
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {

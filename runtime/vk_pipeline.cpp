@@ -17,7 +17,7 @@ Result<VkShaderModule> makeShaderModule(VkContext& context, std::span<const uint
 }
 
 Result<ComputePipeline> ComputePipeline::create(VkContext& context, std::span<const uint32_t> spirv, uint32_t buffers,
-                                                uint32_t push_bytes) {
+                                                uint32_t push_bytes, bool variant) {
   ComputePipeline p;
   p.context_ = &context;
   p.buffers_ = buffers;
@@ -45,6 +45,10 @@ Result<ComputePipeline> ComputePipeline::create(VkContext& context, std::span<co
   info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
   info.stage.module = *module;
   info.stage.pName = "main";
+  const VkBool32 value = variant;
+  const VkSpecializationMapEntry entry{0, 0, sizeof(value)};
+  const VkSpecializationInfo constants{1, &entry, sizeof(value), &value};
+  info.stage.pSpecializationInfo = &constants;
   info.layout = p.layout_;
   const VkResult r = vkCreateComputePipelines(context.device(), VK_NULL_HANDLE, 1, &info, nullptr, &p.pipeline_);
   vkDestroyShaderModule(context.device(), *module, nullptr);

@@ -21,8 +21,9 @@ Result<VkShaderModule> makeShaderModule(VkContext& context, std::span<const uint
 // One descriptor set of `buffers` storage buffers at bindings 0, 1, ...; one push constant block from offset 0.
 class ComputePipeline {
  public:
+  // variant: of the shader's specialization constant 0, a bool; ignored where it has none.
   static Result<ComputePipeline> create(VkContext& context, std::span<const uint32_t> spirv, uint32_t buffers,
-                                        uint32_t push_bytes);
+                                        uint32_t push_bytes, bool variant = false);
   ComputePipeline() = default;
   ComputePipeline(ComputePipeline&& other) noexcept { swap(other); }
   ComputePipeline& operator=(ComputePipeline&& other) noexcept {

@@ -6,6 +6,7 @@
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared.h"
+#include "sound.glsl"
 
 layout(local_size_x = kBounceGroup) in;
 layout(push_constant) uniform Push { CorrectPush push; };
@@ -33,7 +34,7 @@ void main() {
   vec4 part = vec4(0);  // sums of squares, largest values
   uint relit = 0u;
   if (i < push.slots && kinds[i] == kLeaf) {
-    const vec3 m = source[i].rgb, b = after[i].rgb, left = b - before[i].rgb;
+    const vec3 m = isSound(source[i].rgb) ? source[i].rgb : vec3(0), b = after[i].rgb, left = b - before[i].rgb;
     part = vec4(dot(left, left), dot(b - m, b - m), largestOf(abs(left)), largestOf(b));
     relit = any(notEqual(m, last_source[i].rgb)) ? 1u : 0u;
     last_source[i] = vec4(m, 0);

@@ -1,9 +1,9 @@
 // One Jacobi iteration of B = M + albedo * F B over the leaf slots: a subgroup takes a row, its lanes take uvec4 of entries
 // (column << 16 | count) side by side, and the subgroup adds up. Works for any subgroup size: lanes are counted, not assumed,
 // because a subgroup may be only partly filled and gl_SubgroupSize is then too large.
-// Where `omega` is not 1, `after` holds the values of two steps ago, and the step goes on from there, omega times as far
-// (Chebyshev semi-iteration); no value falls below its source. A source that is no light becomes 0, a result that is none
-// its source, and either is counted.
+// A step that goes further: `after` holds the values of two steps ago, and the step goes on from there, omega times as far
+// (Chebyshev semi-iteration); no value falls below its source. A source that is no light counts as 0, a result that is
+// none becomes its source, and either is added to `repaired`.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -12,11 +12,12 @@
 #include "sound.glsl"
 
 layout(local_size_x = kGatherGroup) in;
+layout(constant_id = 0) const bool kFurther = false;
 layout(push_constant) uniform Push { GatherPush push; };
 layout(std430, binding = 0) readonly buffer Rows { GatherRow rows[]; };
 layout(std430, binding = 1) readonly buffer Entries { uvec4 entries[]; };
 layout(std430, binding = 2) readonly buffer Albedo { vec4 albedo[]; };  // w: area, m2
-layout(std430, binding = 3) buffer Source { vec4 source[]; };
+layout(std430, binding = 3) readonly buffer Source { vec4 source[]; };
 layout(std430, binding = 4) readonly buffer Before { vec4 before[]; };
 layout(std430, binding = 5) buffer After { vec4 after[]; };
 layout(std430, binding = 6) readonly buffer Kinds { uint kinds[]; };
@@ -27,6 +28,7 @@ vec3 term(uint entry) { return float(entry & 0xffffu) * before[entry >> 16].rgb;
 void main() {
   const uint lanes = subgroupAdd(1u);
   const uint lane = subgroupExclusiveAdd(1u);
+  uint unsound = 0u;
   for (uint slot = gl_WorkGroupID.x * gl_NumSubgroups + gl_SubgroupID; slot < push.slots;
        slot += gl_NumWorkGroups.x * gl_NumSubgroups) {
     if (kinds[slot] != kLeaf) {  // a free one is 0 in both buffers: a light that has settled settles there, too
@@ -43,21 +45,17 @@ void main() {
     }
     sum = subgroupAdd(sum);
     if (lane != 0u) continue;
-    vec3 m = source[slot].rgb;
-    if (!isSound(m)) {
-      m = vec3(0);
-      source[slot] = vec4(0);
-      atomicAdd(repaired, 1u);
-    }
+    const vec3 given = source[slot].rgb;
+    const bool given_sound = isSound(given);
+    const vec3 m = given_sound ? given : vec3(0);
     vec3 b = m + albedo[slot].rgb * (row.scale * sum);
-    if (push.omega != 1.0) {
+    if (kFurther) {
       const vec3 old = after[slot].rgb;
       b = max(m, old + push.omega * (b - old));
     }
-    if (!isSound(b)) {
-      b = m;
-      atomicAdd(repaired, 1u);
-    }
-    after[slot] = vec4(b, 0);
+    const bool sound = isSound(b);
+    after[slot] = vec4(sound ? b : m, 0);
+    unsound += uint(!given_sound) + uint(!sound);
   }
+  if (unsound > 0u) atomicAdd(repaired, unsound);
 }

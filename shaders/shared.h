@@ -65,7 +65,7 @@ struct JobPush {
 struct GatherPush {
   uint slots;
   uint segment;
-  float omega;  // 1: a Jacobi step; else one of the Chebyshev semi-iteration
+  float omega;  // of a step that goes further
 };
 // gather_change.comp
 struct ChangePush {

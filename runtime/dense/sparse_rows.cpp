@@ -35,7 +35,7 @@ void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> 
                       to.data()};
   const auto count = static_cast<uint32_t>(leaves.size());
   pool_.run((count + kPartLeaves - 1) / kPartLeaves,
-            [&](uint32_t part) { kernel_(job, part * kPartLeaves, std::min((part + 1) * kPartLeaves, count)); });
+            [&](uint32_t part) { (void)kernel_(job, part * kPartLeaves, std::min((part + 1) * kPartLeaves, count)); });
 }
 
 void SparseRows::refine(const EnteringBlocks& blocks, std::span<Vec4> values) const {

@@ -6,6 +6,7 @@
 #include "runtime/gather_kernels.h"
 #include "runtime/node_values.h"
 #include "runtime/worker_pool.h"
+#include "tests/runtime/bad_numbers.h"
 #include "tests/runtime/hand_made.h"
 #include "tests/runtime/test_world.h"
 
@@ -148,15 +149,24 @@ TEST(CpuGather, VectorAndPortableKernelsAgree) {
                 from.data(),
                 a.data()};
   const auto count = static_cast<uint32_t>(matrix->leaves.size());
-  gatherPortable(job, 0, count);
+  EXPECT_TRUE(gatherPortable(job, 0, count));
   job.to = b.data();
-  fast(job, 0, count);
+  EXPECT_TRUE(fast(job, 0, count));
   for (size_t s = 0; s < a.size(); ++s) {
     // Another order of at most 150 additions of non-negative terms: 150 * 2^-24 < 1e-5 of the sum.
     ASSERT_NEAR(a[s].x, b[s].x, 1e-5f * a[s].x);
     ASSERT_NEAR(a[s].y, b[s].y, 1e-5f * a[s].y);
     ASSERT_NEAR(a[s].z, b[s].z, 1e-5f * a[s].z);
   }
+  for (const float bad : kBadNumbers)
+    for (const uint32_t leaf : {0u, count / 2, count - 1})
+      for (float Vec4::*channel : {&Vec4::x, &Vec4::y, &Vec4::z}) {
+        std::vector<Vec4> broken = source;
+        broken[matrix->leaves[leaf]].*channel = bad;
+        job.source = broken.data();
+        EXPECT_FALSE(gatherPortable(job, 0, count)) << bad;
+        EXPECT_FALSE(fast(job, 0, count)) << bad;
+      }
 }
 
 TEST(CpuGather, AClosedBoxOfUniformLightHasTheFurnaceRadiosityOnEveryCut) {
