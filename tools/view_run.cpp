@@ -227,6 +227,9 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
     if (!camera) return camera.error();
     f.camera = std::move(*camera);
   }
+  json& keys = figures["camera"]["keys"];  // a found path can be flown again
+  for (const CameraKey& k : f.camera.keys) keys.push_back({{"t", k.t}, {"eye", triple(k.eye)}, {"target", triple(k.target)}});
+  figures["camera"]["fps"] = f.camera.fps;
   f.light = lightingFor(f.options, f.camera, f.scene, f.world.info().lights);
   figures["sun"] = {{"direction", triple(f.light.sun.to_sun)}, {"irradiance", triple(f.light.sun.irradiance)}};
   figures["openness"] = openness(f.scene);

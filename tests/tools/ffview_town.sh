@@ -50,8 +50,12 @@ assert undone["reflected_error_inner"] is None and "--no-difference" in undone["
 assert night["settled"] is True and night["settle_change"] <= 1e-6, night
 assert night["reflected_error_inner"] is not None and "not_compared_because" not in night, night
 assert json.load(open("night/figures.json"))["sun"]["irradiance"] == [0, 0, 0]
+json.dump(json.load(open("night/figures.json"))["camera"], open("found.json", "w"))
 assert near["reflected_error_inner"] is None and "raise --radius" in near["not_compared_because"], near
 PY
+# A path that was found can be flown again.
+expect 0 "$ffview" --headless town.ffm -o again --camera found.json --frames 1 --size 64x48 --night
+cmp night/town_0000_bounce.png again/town_0000_bounce.png || fail "another picture from the same place"
 expect 0 "$ffview" --headless town.ffm --camera camera.json -o on_cpu --frames 2 --size 160x90 --radius 8 --solve-on-cpu --validate
 expect 0 "$ffview" --headless town.ffm --camera camera.json -o dense --frames 2 --size 160x90 --radius 4 --solver multibounce --solve-on-cpu --validate
 expect 1 "$ffview" --headless town.ffm -o x --solver magic
