@@ -40,7 +40,7 @@ class Labeller {
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       if (kind_[i] == Kind::kCrumb && host[i] == kNobody && isSealed(i)) kind_[i] = Kind::kSealed;
     });
-    tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeTiny(place_start_[g], place_start_[g + 1], host); });
+    tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeCrumbs(place_start_[g], place_start_[g + 1], host); });
     Labels labels;
     std::vector<uint32_t> patch(sides_.size(), kSealed);  // per root
     for (size_t g = 0; g < places; ++g) number(place_start_[g], place_start_[g + 1], host, patch, labels.home);
@@ -209,43 +209,61 @@ class Labeller {
     return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumb_);
   }
 
-  // Finds hosts for crumbs that would make a patch too small to be of use: of the same cell or, if that has none, the cells around it.
-  void placeTiny(size_t begin, size_t end, std::vector<uint32_t>& host) const {
-    double area = 0;
-    for (size_t i = begin; i < end; ++i) {
-      if (isOwn(i, host)) return;
-      if (isLoose(i, host)) area += area_[i];
-    }
-    if (area >= kTiny * crumb_) return;
-    for (size_t i = begin; i < end; ++i)
-      if (isLoose(i, host)) host[i] = nearestWhole(i);
+  bool sees(size_t crumb, size_t root) const {
+    const auto members = membersOf(crumb);
+    if (std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); })) return true;
+    return fences_->sees(at(crumb), at(root));
   }
 
-  uint32_t nearestWhole(size_t root) const {
-    uint32_t best = kNobody;
-    double nearest = 1e300;
+  // Of some roots the nearest to a crumb, and what the crumb sees before what it does not: the other side of a wall may be nearer.
+  struct Nearest {
+    uint32_t root = kNobody;
+    double square = 1e300;
+    bool seen = false;
+  };
+  void consider(size_t crumb, size_t root, Nearest& best) const {
+    const Point d = centre_[crumb] - centre_[root];
+    const double square = dot(d, d);
+    if (square >= best.square && best.seen) return;
+    const bool seen = sees(crumb, root);
+    if (seen == best.seen ? square < best.square : seen) best = {static_cast<uint32_t>(root), square, seen};
+  }
+
+  // Finds hosts for crumbs that see no patch of their place, and for those that would make a patch too small to be of use: of the
+  // same cell or, if that has none, the cells around it.
+  void placeCrumbs(size_t begin, size_t end, std::vector<uint32_t>& host) const {
+    double area = 0;
+    std::vector<uint32_t> own, loose;
+    listPlace(begin, end, host, own, loose);
+    for (const uint32_t i : loose) area += area_[i];
+    if (own.empty() && area >= kTiny * crumb_) return;
+    for (const uint32_t i : loose) {
+      const bool seen = std::any_of(own.begin(), own.end(), [&](uint32_t w) { return sees(i, w); });
+      if (seen) continue;
+      const Nearest other = nearestWhole(i);
+      if (own.empty() || other.seen) host[i] = other.root;
+    }
+  }
+
+  Nearest nearestWhole(size_t root) const {
+    Nearest best;
     const auto look = [&](const Cell& cell) {
       const uint64_t key = hilbertKey(cell);
       for (auto s = std::lower_bound(sides_.begin(), sides_.end(), key, [](const Side& side, uint64_t k) { return side.key < k; });
            s != sides_.end() && s->key == key; ++s) {
         const auto j = static_cast<size_t>(s - sides_.begin());
-        if (kind_[j] != Kind::kWhole || s->lamp_group != sides_[root].lamp_group) continue;
-        const Point d = centre_[root] - centre_[j];
-        if (dot(d, d) >= nearest) continue;
-        nearest = dot(d, d);
-        best = static_cast<uint32_t>(j);
+        if (kind_[j] == Kind::kWhole && s->lamp_group == sides_[root].lamp_group) consider(root, j, best);
       }
     };
     const Cell own = piece(root).cell;
     look(own);
-    if (best == kNobody)
+    if (!best.seen)
       for (int32_t n = 0; n < 27; ++n) look({own[0] + n % 3 - 1, own[1] + n / 3 % 3 - 1, own[2] + n / 9 - 1});
     return best;
   }
 
-  // Numbers the patches of one place.
-  void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
-    std::vector<uint32_t> own, loose;
+  // Of one place, what has a patch of its own and the crumbs that look for one.
+  void listPlace(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& own, std::vector<uint32_t>& loose) const {
     for (size_t i = begin; i < end; ++i) {
       if (isOwn(i, host)) {
         own.push_back(static_cast<uint32_t>(i));
@@ -253,20 +271,21 @@ class Labeller {
         loose.push_back(static_cast<uint32_t>(i));
       }
     }
+  }
+
+  // Numbers the patches of one place.
+  void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
+    std::vector<uint32_t> own, loose;
+    listPlace(begin, end, host, own, loose);
     if (own.empty() && !loose.empty()) own.push_back(loose[0]);  // crumbs only: one patch together
     for (const uint32_t i : own) {
       patch[i] = static_cast<uint32_t>(home.size());
       home.push_back(i);
     }
     for (const uint32_t i : loose) {
-      double best = 1e300;
-      for (const uint32_t w : own) {
-        const Point d = centre_[i] - centre_[w];
-        if (dot(d, d) < best) {
-          best = dot(d, d);
-          patch[i] = patch[w];
-        }
-      }
+      Nearest best;
+      for (const uint32_t w : own) consider(i, w, best);
+      patch[i] = patch[best.root];
     }
   }
 

@@ -45,6 +45,9 @@ class Fences {
   // The same of one border: `shared` is one of sharedBorders(a, b).
   bool isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const;
 
+  // Whether the middles of two pieces see each other, both from a hair above.
+  bool sees(PieceSide a, PieceSide b) const;
+
   // Whether another surface lies on a triangle's side at a point of it (cells), less than a hair away: a picture on its wall.
   bool isCovered(uint32_t triangle, bool back, Point point) const;
 
