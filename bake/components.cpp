@@ -6,7 +6,6 @@
 #include <array>
 #include <cmath>
 
-#include "bake/fineness.h"
 #include "bake/union_find.h"
 
 namespace ff::bake {
@@ -41,7 +40,7 @@ class Labeller {
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       if (kind_[i] == Kind::kCrumb && host[i] == kNobody && isSealed(i)) kind_[i] = Kind::kSealed;
     });
-    tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeTiny(place_start_[g], place_start_[g + 1], host); });
+    tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeCrumbs(place_start_[g], place_start_[g + 1], host); });
     Labels labels;
     std::vector<uint32_t> patch(sides_.size(), kSealed);  // per root
     for (size_t g = 0; g < places; ++g) number(place_start_[g], place_start_[g + 1], host, patch, labels.home);
@@ -57,7 +56,6 @@ class Labeller {
   static constexpr uint32_t kNobody = 0xffffffff;
 
   const Piece& piece(size_t i) const { return pieces_[sides_[i].piece]; }
-  double crumbOf(size_t i) const { return crumb_ * faceCells(piece(i).fineness); }  // in base cells' faces
   PieceSide at(size_t i) const { return {&piece(i), sides_[i].back == 1}; }
   bool isFenced(size_t i) const {
     const uint32_t back = sides_[i].back;
@@ -71,7 +69,7 @@ class Labeller {
       std::vector<std::pair<std::array<int32_t, 3>, uint32_t>> corners;
       for (uint32_t i = 0; i < n; ++i) {
         if (isFenced(begin + i)) continue;
-        const Cell cell = baseCell(piece(begin + i).cell, piece(begin + i).fineness);
+        const Cell& cell = piece(begin + i).cell;
         for (const Point& p : piece(begin + i).polygon) {
           std::array<int32_t, 3> q;
           for (int a = 0; a < 3; ++a) q[static_cast<size_t>(a)] = static_cast<int32_t>(std::lround((p[a] - cell[a]) * 512));
@@ -150,7 +148,7 @@ class Labeller {
     }
     area_[root] = area;
     centre_[root] = moment * (1 / std::max(area, 1e-30));
-    kind_[root] = area < crumbOf(root) ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
+    kind_[root] = area < crumb_ ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
   }
 
   // The component, not a crumb, that a crumb shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
@@ -169,7 +167,7 @@ class Labeller {
         const Point outward = cross(side, normal) * (1 / length(side));
         const Point next = a + side * 0.5 + outward * kBorderCells - normal * (sides_[i].back ? -kBorderCells : kBorderCells);
         Cell cell;
-        for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d] / edgeCells(piece(i).fineness)));
+        for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d]));
         if (cell != piece(i).cell || isFenced(i)) addHosts(i, k, cell, host, hosts);
       }
     }
@@ -186,8 +184,7 @@ class Labeller {
   void addHosts(uint32_t crumb_side, size_t border, const Cell& cell, const std::vector<uint32_t>& host,
                 std::vector<std::pair<uint32_t, double>>& hosts) const {
     Side place = sides_[crumb_side];
-    place.key = hilbertKey(baseCell(cell, place.fineness));
-    place.in_cell = placeInBaseCell(cell, place.fineness);
+    place.key = hilbertKey(cell);
     const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
     const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
     for (auto s = first; s != last; ++s) {
@@ -209,49 +206,64 @@ class Labeller {
 
   bool isLoose(size_t root, const std::vector<uint32_t>& host) const { return kind_[root] == Kind::kCrumb && host[root] == kNobody; }
   bool isOwn(size_t root, const std::vector<uint32_t>& host) const {
-    return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumbOf(root));
+    return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumb_);
   }
 
-  // Finds hosts for crumbs that would make a patch too small to be of use: of the same base cell or, if that has none, the cells
-  // around it. Here alone surface of one grid may join a patch of another.
-  void placeTiny(size_t begin, size_t end, std::vector<uint32_t>& host) const {
+  bool sees(size_t crumb, size_t root) const {
+    const auto members = membersOf(crumb);
+    if (std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); })) return true;
+    return fences_->sees(at(crumb), at(root));
+  }
+
+  // Of some roots the nearest to a crumb, and what the crumb sees before what it does not: the other side of a wall may be nearer.
+  struct Nearest {
+    uint32_t root = kNobody;
+    double square = 1e300;
+    bool seen = false;
+  };
+  void consider(size_t crumb, size_t root, Nearest& best) const {
+    const Point d = centre_[crumb] - centre_[root];
+    const double square = dot(d, d);
+    if (square >= best.square && best.seen) return;
+    const bool seen = sees(crumb, root);
+    if (seen == best.seen ? square < best.square : seen) best = {static_cast<uint32_t>(root), square, seen};
+  }
+
+  // Finds hosts for crumbs that see no patch of their place, and for those that would make a patch too small to be of use: of the
+  // same cell or, if that has none, the cells around it.
+  void placeCrumbs(size_t begin, size_t end, std::vector<uint32_t>& host) const {
     double area = 0;
-    for (size_t i = begin; i < end; ++i) {
-      if (isOwn(i, host)) return;
-      if (isLoose(i, host)) area += area_[i];
+    std::vector<uint32_t> own, loose;
+    listPlace(begin, end, host, own, loose);
+    for (const uint32_t i : loose) area += area_[i];
+    if (own.empty() && area >= kTiny * crumb_) return;
+    for (const uint32_t i : loose) {
+      const bool seen = std::any_of(own.begin(), own.end(), [&](uint32_t w) { return sees(i, w); });
+      if (seen) continue;
+      const Nearest other = nearestWhole(i);
+      if (own.empty() || other.seen) host[i] = other.root;
     }
-    if (area >= kTiny * crumbOf(begin)) return;
-    for (size_t i = begin; i < end; ++i)
-      if (isLoose(i, host)) host[i] = nearestWhole(i);
   }
 
-  uint32_t nearestWhole(size_t root) const {
-    uint32_t best = kNobody;
-    double nearest = 1e300;
+  Nearest nearestWhole(size_t root) const {
+    Nearest best;
     const auto look = [&](const Cell& cell) {
       const uint64_t key = hilbertKey(cell);
       for (auto s = std::lower_bound(sides_.begin(), sides_.end(), key, [](const Side& side, uint64_t k) { return side.key < k; });
            s != sides_.end() && s->key == key; ++s) {
         const auto j = static_cast<size_t>(s - sides_.begin());
-        if (kind_[j] != Kind::kWhole || s->lamp_group != sides_[root].lamp_group) continue;
-        const Point d = centre_[root] - centre_[j];
-        if (dot(d, d) >= nearest) continue;
-        nearest = dot(d, d);
-        best = static_cast<uint32_t>(j);
+        if (kind_[j] == Kind::kWhole && s->lamp_group == sides_[root].lamp_group) consider(root, j, best);
       }
     };
-    const int fineness = piece(root).fineness;
-    const Cell own = baseCell(piece(root).cell, fineness);
+    const Cell own = piece(root).cell;
     look(own);
-    const int32_t step = fineness < 0 ? 1 << -fineness : 1;
-    if (best == kNobody)
-      for (int32_t n = 0; n < 27; ++n) look({own[0] + step * (n % 3 - 1), own[1] + step * (n / 3 % 3 - 1), own[2] + step * (n / 9 - 1)});
+    if (!best.seen)
+      for (int32_t n = 0; n < 27; ++n) look({own[0] + n % 3 - 1, own[1] + n / 3 % 3 - 1, own[2] + n / 9 - 1});
     return best;
   }
 
-  // Numbers the patches of one place.
-  void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
-    std::vector<uint32_t> own, loose;
+  // Of one place, what has a patch of its own and the crumbs that look for one.
+  void listPlace(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& own, std::vector<uint32_t>& loose) const {
     for (size_t i = begin; i < end; ++i) {
       if (isOwn(i, host)) {
         own.push_back(static_cast<uint32_t>(i));
@@ -259,26 +271,27 @@ class Labeller {
         loose.push_back(static_cast<uint32_t>(i));
       }
     }
+  }
+
+  // Numbers the patches of one place.
+  void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
+    std::vector<uint32_t> own, loose;
+    listPlace(begin, end, host, own, loose);
     if (own.empty() && !loose.empty()) own.push_back(loose[0]);  // crumbs only: one patch together
     for (const uint32_t i : own) {
       patch[i] = static_cast<uint32_t>(home.size());
       home.push_back(i);
     }
     for (const uint32_t i : loose) {
-      double best = 1e300;
-      for (const uint32_t w : own) {
-        const Point d = centre_[i] - centre_[w];
-        if (dot(d, d) < best) {
-          best = dot(d, d);
-          patch[i] = patch[w];
-        }
-      }
+      Nearest best;
+      for (const uint32_t w : own) consider(i, w, best);
+      patch[i] = patch[best.root];
     }
   }
 
   const std::span<const Piece> pieces_;
   const std::span<const Side> sides_;
-  const double crumb_;  // of a cell's face
+  const double crumb_;  // cells
   const Fences* const fences_;
   const SealedSurface* const sealed_;
   std::vector<size_t> place_start_;

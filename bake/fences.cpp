@@ -287,6 +287,16 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
   return false;
 }
 
+bool Fences::sees(PieceSide a, PieceSide b) const {
+  const auto eye = [&](PieceSide s) {
+    const uint32_t t = s.piece->triangle;
+    return metres(middle(s.piece->polygon) + normalOf(t) * (s.back ? -hairOf(t) : hairOf(t)));
+  };
+  const Vec3 from = eye(a), to = eye(b);
+  const float way = ff::length(to - from);
+  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+}
+
 bool Fences::isCovered(uint32_t triangle, bool back, Point point) const {
   const Point normal = normalOf(triangle) * (back ? -1.0 : 1.0);
   const Vec3 down{static_cast<float>(-normal.x), static_cast<float>(-normal.y), static_cast<float>(-normal.z)};

@@ -16,10 +16,9 @@
 namespace ff::bake {
 
 struct Piece {
-  Cell cell;          // of the triangle's own grid (fineness.h)
+  Cell cell;          // of the grid of patches
   uint32_t triangle;  // of the scene
-  int fineness;
-  Polygon polygon;    // in units of base cells, seen from the triangle's front
+  Polygon polygon;    // in units of cells, seen from the triangle's front
   // Of the front and the back:
   bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
   bool covered[2] = {};  // another surface lies on it, less than a hair away
@@ -45,6 +44,9 @@ class Fences {
   Border between(PieceSide a, PieceSide b) const;
   // The same of one border: `shared` is one of sharedBorders(a, b).
   bool isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const;
+
+  // Whether the middles of two pieces see each other, both from a hair above.
+  bool sees(PieceSide a, PieceSide b) const;
 
   // Whether another surface lies on a triangle's side at a point of it (cells), less than a hair away: a picture on its wall.
   bool isCovered(uint32_t triangle, bool back, Point point) const;

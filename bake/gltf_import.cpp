@@ -100,6 +100,7 @@ class Builder {
       keepOnce(static_cast<uint32_t>(m), instances[m]);
       all_ += instances[m].size() * document_.model.meshes[m].primitives.size();
     }
+    warnOfRepeats();
     for (size_t m = 0; m < instances.size(); ++m) {
       if (instances[m].empty()) continue;
       const auto& primitives = document_.model.meshes[m].primitives;
@@ -115,12 +116,12 @@ class Builder {
   // Instances at the very same place count once, before millions of them take memory; bake/coincident.h finds what differs by rounding.
   void keepOnce(uint32_t mesh, std::vector<Instance>& instances) {
     std::unordered_set<std::string_view> seen;
-    const size_t before = instances.size();
-    size_t kept = 0;
+    size_t kept = 0, listed = 0;
     int first = -1;
     // In place: what is kept moves to the front, where the views of what was seen stay valid.
-    for (size_t i = 0; i < before; ++i) {
+    for (size_t i = 0; i < instances.size(); ++i) {
       if (!document_.objects.nodes[static_cast<size_t>(instances[i].node)].include.value_or(true)) continue;
+      ++listed;
       const auto bytes = [&](size_t k) {
         return std::string_view(reinterpret_cast<const char*>(instances[k].to_world.data()), sizeof(Matrix));
       };
@@ -133,12 +134,34 @@ class Builder {
     }
     instances.resize(kept);
     if (first < 0) return;
+    const std::string& name = document_.objects.mesh_names[mesh];  // several may have it
+    const auto known = std::find_if(repeats_.begin(), repeats_.end(), [&](const Repeat& r) {
+      return !name.empty() && name == document_.objects.mesh_names[r.mesh];
+    });
+    if (known != repeats_.end())
+      known->instances += listed - kept;
+    else
+      repeats_.push_back({listed - kept, mesh, static_cast<uint32_t>(first)});
+  }
+
+  // Of all meshes in one line, the commonest first.
+  void warnOfRepeats() {
+    if (repeats_.empty()) return;
+    std::stable_sort(repeats_.begin(), repeats_.end(), [](const Repeat& a, const Repeat& b) { return a.instances > b.instances; });
+    constexpr size_t kNamed = 3;
+    uint64_t all = 0;
+    std::string named;
     const auto name = [](const char* kind, const std::vector<std::string>& names, size_t i) {
-      return names[i].empty() ? std::string(kind) + " " + std::to_string(i) : std::string(kind) + " \"" + names[i] + "\"";
+      return kind + (names[i].empty() ? std::to_string(i) : "\"" + names[i] + "\"");
     };
-    scene_.warnings.push_back(std::to_string(before - kept) + (before - kept == 1 ? " instance of " : " instances of ") +
-                              name("mesh", document_.objects.mesh_names, mesh) + " stand where others do and count once (first: " +
-                              name("node", document_.objects.node_names, static_cast<size_t>(first)) + ")");
+    for (size_t i = 0; i < repeats_.size(); ++i) {
+      all += repeats_[i].instances;
+      if (i < kNamed)
+        named += (i > 0 ? ", " : "") + std::to_string(repeats_[i].instances) + " of " + name("mesh ", document_.objects.mesh_names, repeats_[i].mesh) +
+                 " (first: " + name("node ", document_.objects.node_names, repeats_[i].node) + ")";
+    }
+    if (repeats_.size() > kNamed) named += " and those of " + std::to_string(repeats_.size() - kNamed) + (repeats_.size() == kNamed + 1 ? " more mesh" : " more meshes");
+    scene_.warnings.push_back(std::to_string(all) + (all == 1 ? " instance stands where another does and counts once: " : " instances stand where others do and count once: ") + named);
   }
 
   // In world space, whatever the origin of the scene's coordinates.
@@ -207,11 +230,17 @@ class Builder {
     all.resize(scene_.positions.size());
   }
 
+  struct Repeat {
+    size_t instances;
+    uint32_t mesh, node;  // node: of the first that was left out
+  };
+
   const Document& document_;
   const ImportLimits& limits_;
   Budget& budget_;
   Scene& scene_;
   Materials materials_;
+  std::vector<Repeat> repeats_;
   uint64_t dropped_ = 0, added_ = 0, all_ = 0;
 };
 

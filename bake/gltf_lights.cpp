@@ -7,7 +7,7 @@
 namespace ff::bake::gltf {
 namespace {
 
-constexpr double kLargestIntensity = 1e20;  // as of emissive surfaces: keeps products within float
+constexpr double kLargestIntensity = 1e20;  // keeps products within float
 constexpr double kFarthest = 1e9;
 constexpr double kLeastPenumbra = 1e-4;  // rad, between the inner and the outer angle of a spot
 

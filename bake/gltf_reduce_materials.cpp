@@ -1,14 +1,17 @@
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "bake/gltf_reduce.h"
+#include "formats/layout.h"
 
 namespace ff::bake::gltf {
 namespace {
 
 constexpr uint64_t kMaterialBytes = 6000;  // reduced and as tinygltf's structures: measured with 50,000
 constexpr uint64_t kMostTexCoords = 64;
-constexpr double kLargestEmission = 1e20;  // keeps products with areas within float
+constexpr double kLargestEmission = 3e11;  // W/(m2 sr)
+static_assert(kLargestEmission * std::numbers::pi < static_cast<double>(formats::kMaxEmission));
 
 class Warner {
  public:

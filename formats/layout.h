@@ -26,6 +26,8 @@ struct TileId {
   friend auto operator<=>(const TileId&, const TileId&) = default;
 };
 
+inline constexpr float kMaxEmission = 1e12f;  // W/m2; the sun's own surface emits 6.3e7
+
 // A patch (level 0) or a cluster of nodes of the level below. Nodes of a level are numbered in Hilbert order; siblings
 // (nodes with one parent) are consecutive and lie in one tile; parents are in the same order as their first children.
 struct Node {
@@ -33,7 +35,7 @@ struct Node {
   Vec3 centroid;             // m
   Vec3 normal;               // unit area-weighted mean; zero where the pieces cancel
   Vec3 albedo;               // diffuse, 0..1, linear RGB
-  Vec3 emission;             // M, radiosity emitted as baked, W/m2, linear RGB
+  Vec3 emission;             // M, radiosity emitted as baked, W/m2, linear RGB, 0..kMaxEmission
   uint16_t lamp_group = kNoLampGroup;  // whose switch scales the emission; nodes of two groups never share a parent
   uint32_t parent = kNoParent;  // node number at level + 1
   // The row's closure: sum of the entries' counts + sky + absorbed == quanta, exactly.

@@ -178,8 +178,8 @@ Result<void> readLampGroups(const Section& s, std::vector<LampGroup>& groups) {
     LampGroupRecord::fields(r, group);
     if (!r.ok()) break;
     if (groups.size() > kNoLampGroup) return broken(at, "has more lamp groups than 16 bits can number");
-    if (!finite(group.emission) || !(std::min({group.emission.x, group.emission.y, group.emission.z}) >= 0) ||
-        !std::isfinite(group.area_m2))
+    const Vec3& e = group.emission;
+    if (!finite(e) || !(std::min({e.x, e.y, e.z}) >= 0) || std::max({e.x, e.y, e.z}) > kMaxEmission || !std::isfinite(group.area_m2))
       return broken(at, "lamp group holds a value that cannot be");
   }
   return finished(r, s);

@@ -151,7 +151,7 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
     if ((normal.u == kZeroNormal) != (normal.v == kZeroNormal)) return bad("normal is not a direction");
     node.normal = unpackNormal(normal);
     for (int k = 0; k < 3; ++k)
-      if (!(node.emission[k] >= 0) || !std::isfinite(node.emission[k])) return bad("emission is not a number >= 0");
+      if (!(node.emission[k] >= 0) || !(node.emission[k] <= kMaxEmission)) return bad("emission is not 0..1e12 W/m2");
     if (!validDirection(direction[0], direction[1], direction[2])) return bad("sky direction is longer than 1");
   }
   return {};

@@ -71,7 +71,7 @@ Result<void> checkNode(const Strip& strip, size_t i, const Box& bounds) {
     return bad("a field is not finite");
   for (int c = 0; c < 3; ++c) {
     if (!(n.albedo[c] >= 0) || !(n.albedo[c] <= 1)) return bad("albedo is outside 0..1");
-    if (!(n.emission[c] >= 0)) return bad("emission is negative");
+    if (!(n.emission[c] >= 0) || !(n.emission[c] <= kMaxEmission)) return bad("emission is not 0..1e12 W/m2");
     // A mean of positions may leave their bounds by rounding, not by more.
     const float slack = 1e-3f * (bounds.hi[c] - bounds.lo[c]) + 1e-5f * std::abs(n.centroid[c]) + 1e-6f;
     if (n.centroid[c] < bounds.lo[c] - slack || n.centroid[c] > bounds.hi[c] + slack)

@@ -11,8 +11,8 @@
 
 namespace ff::runtime {
 
-// W/m2, of a caller's radiance W/(m2 sr). The sun's own surface emits 6.3e7.
-inline constexpr float kMaxLight = 1e12f;
+// W/m2, of a caller's radiance W/(m2 sr).
+inline constexpr float kMaxLight = formats::kMaxEmission;
 // A number this far below zero is somebody's rounding (1e-6 of 1000 W/m2) and zero; below it is wrong.
 inline constexpr float kRoundingLight = -1e-3f;
 

@@ -10,6 +10,8 @@
 #include <mutex>
 #include <thread>
 
+#include "formats/strip_codec.h"
+
 namespace ff::tools {
 
 using namespace ff::formats;
@@ -300,14 +302,14 @@ class Checker {
       LampPower& p = power[{world_.parent(l - 1, node), lamp.group}];
       for (int c = 0; c < 3; ++c) {
         p.sum[c] += static_cast<double>(below.area[node]) * static_cast<double>(lamp.weight[c]);
-        p.clamped[c] |= lamp.weight[c] >= 1;
+        p.clamped[c] |= lamp.weight[c] >= kLampWeightUnit;
       }
     });
     visit(l, level, [&](uint32_t node, const LampLight& lamp) {
       LampPower& p = power[{node, lamp.group}];
       for (int c = 0; c < 3; ++c) {
         p.mine[c] += static_cast<double>(level.area[node]) * static_cast<double>(lamp.weight[c]);
-        p.clamped[c] |= lamp.weight[c] >= 1;
+        p.clamped[c] |= lamp.weight[c] >= kLampWeightUnit;
       }
     });
     std::vector<std::string> findings(world_.tiles(l).size());  // the first of each tile

@@ -90,6 +90,17 @@ inline void addBlock(Scene& s, Vec3 lo, Vec3 hi, uint32_t material) {
   addQuad(s, p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0), material);
 }
 
+// A room, seen from inside. Its first faces are the floor and the walls at the least and at the largest x, its last the ceiling.
+inline void addRoom(Scene& s, Vec3 lo, Vec3 hi, uint32_t walls, uint32_t ceiling) {
+  const auto p = [&](int x, int y, int z) { return Vec3{x ? hi.x : lo.x, y ? hi.y : lo.y, z ? hi.z : lo.z}; };
+  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(1, 0, 1), p(1, 0, 0), walls);
+  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1), walls);
+  addQuad(s, p(1, 0, 0), p(1, 0, 1), p(1, 1, 1), p(1, 1, 0), walls);
+  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0), walls);
+  addQuad(s, p(0, 0, 1), p(0, 1, 1), p(1, 1, 1), p(1, 0, 1), walls);
+  addQuad(s, p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1), ceiling);
+}
+
 // The cap of a unit sphere around +y of half-angle beta, seen from the centre; rings x segments quads.
 inline Scene sphericalCap(double beta, int rings, int segments) {
   Scene s;

@@ -9,7 +9,8 @@
 #include <map>
 
 #include "formats/reader.h"
-#include "tests/bake/analytic_scenes.h"
+#include "tests/bake/variants.h"
+#include "tools/world_check.h"
 
 namespace ff::bake::test {
 namespace {
@@ -143,6 +144,74 @@ TEST_F(Bake, LeavesOutTheMaterialsItIsToldToAndRefusesAnUnknownOne) {
   const auto unknown = bakeWorld(s, {.cell_m = 1, .cleanup = {.exclude = {"Outline"}}}, path("unknown.ffm"));
   ASSERT_FALSE(unknown);
   EXPECT_EQ(unknown.error().code, ErrorCode::kUsage);
+}
+
+// Lamps of one group, each three times as bright as the one before, in a row that clusters take together.
+TEST_F(Bake, AGroupOfLampsThatDifferInBrightnessAddsUpAtEveryLevel) {
+  Scene s;
+  addQuad(s, {0, 0, 0}, {0, 0, 16}, {16, 0, 16}, {16, 0, 0}, addMaterial(s, {.5f, .5f, .5f}));
+  double power = 0;
+  for (int i = 0; i < 8; ++i) {
+    const float x = 1 + 0.25f * static_cast<float>(i), radiance = std::pow(3.0f, static_cast<float>(i));
+    const uint32_t lamp = addMaterial(s, {}, {radiance, 1, 0});
+    s.materials[lamp].lamp_group = "row";
+    addQuad(s, {x, 1, 1}, {x + 0.25f, 1, 1}, {x + 0.25f, 1, 1.25f}, {x, 1, 1.25f}, lamp);
+    power += 0.0625 * std::numbers::pi * static_cast<double>(radiance);
+  }
+  ASSERT_TRUE(bakeWorld(s, {.cell_m = 0.25f, .rays = 128, .quanta = 128}, path("row.ffm")));
+  auto world = formats::World::open(path("row.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  const auto check = tools::checkWorld(*world, 1, nullptr);
+  EXPECT_TRUE(check.corrupt.empty());
+  EXPECT_TRUE(check.unphysical.empty()) << check.unphysical[0].line();
+  ASSERT_EQ(world->info().lamp_groups.size(), 1u);
+  EXPECT_NEAR(world->info().lamp_groups[0].emission.x, 2187 * std::numbers::pi, 0.01);
+  uint32_t fewest = 8;
+  double floor = 0, floor_0 = 0;  // what floors get at a level, W
+  for (uint32_t l = 0; l < world->levels().size(); ++l) {
+    uint32_t lamps = 0;
+    double sum = 0;
+    floor = 0;
+    for (const auto& tile : world->tiles(l)) {
+      auto strip = world->strip(tile.id);
+      ASSERT_TRUE(strip);
+      for (const auto& node : strip->nodes) {
+        lamps += node.lamp_group == 0;
+        sum += static_cast<double>(node.area_m2 * node.emission.x);
+      }
+      for (const auto& lamp : strip->lamps) floor += static_cast<double>(strip->nodes[lamp.row].area_m2 * lamp.weight.x);
+    }
+    EXPECT_NEAR(sum / power, 1, 1e-5) << "level " << l;
+    if (l == 0) floor_0 = floor;
+    EXPECT_NEAR(floor / floor_0, 1, 1e-3) << "level " << l;  // weights have 12 bits
+    fewest = std::min(fewest, lamps);
+  }
+  EXPECT_EQ(fewest, 4u) << "clusters hold two each";
+}
+
+// A sheet pasted on a larger wall is no duplicate, but its rows tell: of two patches at one place each casts all its rays, and both
+// together are met by what others cast there, so that the mean of both ends is 3/4 of a row, in the mean of the two.
+TEST_F(Bake, RowsThatDoNotAddUpAreSaidWithTheirPlaceAndThoseOfACleanSceneAreNot) {
+  for (const bool pasted : {true, false})
+    for (const Variant& v : kVariants) {
+      Scene s;
+      const uint32_t room = addMaterial(s, {.5f, .5f, .5f}), wall = addMaterial(s, {.5f, .5f, .5f}), sheet = addMaterial(s, {.5f, .5f, .5f});
+      s.materials[wall].name = "wall";
+      s.materials[sheet].name = "sheet";
+      addRoom(s, {0, 0, 0}, {4, 3, 4}, room, room);
+      s.triangles[2].material = s.triangles[3].material = wall;  // at x = 0
+      if (pasted) addQuad(s, {0, 0.4f, 0.4f}, {0, 2.6f, 0.4f}, {0, 2.6f, 3.6f}, {0, 0.4f, 3.6f}, sheet);
+      const auto stats = bakeWorld(varied(s, v), {.cell_m = v.scale, .rays = 512, .quanta = 128, .geometry = false}, path("w.ffm"));
+      ASSERT_TRUE(stats) << stats.error().line();
+      if (!pasted) {
+        EXPECT_TRUE(stats->warnings.empty()) << v.name << ": " << stats->warnings[0];
+        continue;
+      }
+      ASSERT_EQ(stats->warnings.size(), 1u) << v.name;
+      EXPECT_NE(stats->warnings[0].find("do not add up"), std::string::npos) << stats->warnings[0];
+      const auto names = [&](const char* it) { return stats->warnings[0].find(it) != std::string::npos; };
+      EXPECT_TRUE(names("wall") || names("sheet")) << stats->warnings[0];
+    }
 }
 
 TEST_F(Bake, CarriesTheAskedShareOfAMetalsReflectionAsDiffuse) {

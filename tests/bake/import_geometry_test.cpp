@@ -53,7 +53,30 @@ TEST(Import, InstancesAtOnePlaceCountOnceAndAreNamed) {
   file.json["scenes"][0]["nodes"] = {0, 1, 2};
   const Scene scene = importGood(file.save(folder, "a.glb"));
   EXPECT_EQ(scene.triangles.size(), 2u);
-  EXPECT_TRUE(warns(scene, "1 instance of mesh \"bulb\"") && warns(scene, "node \"lamp 2\""));
+  EXPECT_TRUE(warns(scene, "1 instance stands where another does and counts once: 1 of mesh \"bulb\" (first: node \"lamp 2\")"));
+}
+
+TEST(Import, InstancesAtOnePlaceAreSaidInOneLineTheCommonestFirst) {
+  const TempFolder folder;
+  GltfFile file;
+  file.withTriangle();
+  const auto mesh = file.json["meshes"][0];
+  file.json["nodes"] = file.json["scenes"][0]["nodes"] = nlohmann::json::array();
+  for (size_t m = 0; m < 6; ++m) {
+    file.json["meshes"][m] = mesh;
+    if (m < 2) file.json["meshes"][m]["name"] = "lamp";
+    for (size_t i = 0; i < (m == 5 ? 1 : m + 2); ++i) {  // mesh 5 is there once; a node that is left out is no repeat
+      file.json["scenes"][0]["nodes"].push_back(file.json["nodes"].size());
+      file.json["nodes"].push_back({{"mesh", m}, {"translation", {m, 0, 0}}});
+    }
+    file.json["scenes"][0]["nodes"].push_back(file.json["nodes"].size());
+    file.json["nodes"].push_back({{"mesh", m}, {"translation", {m, 0, 0}}, {"extras", {{"formfield", {{"include", false}}}}}});
+  }
+  const Scene scene = importGood(file.save(folder, "a.glb"));
+  EXPECT_EQ(scene.triangles.size(), 6u);
+  ASSERT_EQ(std::count_if(scene.warnings.begin(), scene.warnings.end(), [](const std::string& w) { return w.find("instances") != std::string::npos; }), 1);
+  EXPECT_TRUE(warns(scene, "15 instances stand where others do and count once: 5 of mesh 4 (first: node 19), 4 of mesh 3 (first: node 13), "
+                           "3 of mesh \"lamp\" (first: node 1) and those of 1 more mesh"));
 }
 
 TEST(Import, ExtrasLeaveOutOccludeAndNameLampsAndChildrenInheritThem) {

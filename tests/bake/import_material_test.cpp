@@ -55,6 +55,15 @@ TEST(ImportMaterial, EmissiveStrengthMultipliesTheFactor) {
   EXPECT_EQ(m.emission, (Vec3{20, 40, 0}));
 }
 
+TEST(ImportMaterial, EmissionIsClampedToWhatAWorldHoldsWithAWarning) {
+  const TempFolder folder;
+  const Scene scene = importGood(fileWith(Json::parse(R"({"emissiveFactor": [1, 1e-30, 0],
+    "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 1e30}}})")).save(folder, "sun.glb"));
+  EXPECT_LT(scene.materials[0].emission.x * std::numbers::pi_v<float>, formats::kMaxEmission);
+  EXPECT_EQ(scene.materials[0].emission.y, 1);
+  EXPECT_TRUE(warns(scene, "emission 1e+30 is clamped to 0..3e+11"));
+}
+
 TEST(ImportMaterial, SpecularGlossinessBecomesItsDiffusePart) {
   const Material m = importMaterial(Json::parse(R"({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1]},
     "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.2, 0.4, 0.6, 1]}}})"));

@@ -229,6 +229,27 @@ TEST(ManifestRules, LightsCanBe) {
   }
 }
 
+TEST(ManifestRules, LampGroupsCanBe) {
+  const auto sealed = [](const LampGroup& group) {
+    OpenManifest m;
+    std::erase_if(m.parts, [](const OpenManifest::Part& p) { return p.record.kind == kSectionLampGroups; });
+    ByteWriter w;
+    LampGroupRecord::fields(w, group);
+    OpenManifest::Part part;
+    part.record.kind = kSectionLampGroups;
+    part.bytes = w.data();
+    m.parts.push_back(part);
+    return m.seal();
+  };
+  const LampGroup lamp{"lamp", {1, 0, kMaxEmission}, 2, 3};
+  ASSERT_TRUE(parseManifest(sealed(lamp)));
+  for (const float emission : {-1.0f, 1.1e12f, 3e38f, std::numeric_limits<float>::infinity(), std::numeric_limits<float>::quiet_NaN()}) {
+    LampGroup damaged = lamp;
+    damaged.emission.y = emission;
+    expectRefused("lamp group holds a value that cannot be", sealed(damaged));
+  }
+}
+
 TEST(ManifestRules, AWorldWithoutLightsHasNoSectionOfThem) {
   OpenManifest m;
   for (const auto& part : m.parts) EXPECT_NE(part.record.kind, kSectionLights);

@@ -111,7 +111,7 @@ TEST(StripRules, NodesHoldPossibleValues) {
   };
   for (const float area : {0.0f, -1.0f, INFINITY, NAN})
     expectRefused("area", [&](OpenStrip& s) { f32(s, s.layout().area(), area); });
-  for (const float emission : {-1.0f, INFINITY, NAN})
+  for (const float emission : {-1.0f, 1.1e12f, 3e38f, INFINITY, NAN})
     expectRefused("emission", [&](OpenStrip& s) { f32(s, s.layout().emission() + 8, emission); });
   expectRefused("sky direction", [](OpenStrip& s) {
     setByte(s, s.layout().skyDirection(), 100);
@@ -262,6 +262,8 @@ TEST(Encoder, RefusesWhatTheFormatCannotHold) {
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].albedo.y = NAN; }));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].normal.x = NAN; }));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].emission.z = -1; }));
+  EXPECT_FALSE(refused([](Strip& s) { s.nodes[0].emission.z = kMaxEmission; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].emission.z = 1.1e12f; }));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].centroid.x = 2; }));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].sky_direction.x = 2; }));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes[0].sky += 1; }));

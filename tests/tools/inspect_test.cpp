@@ -187,6 +187,18 @@ TEST_F(Inspect, FindsLampsThatDoNotAddUp) {
   Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4);
   EXPECT_NE(run.text.find("node 17: light of lamp group 0"), std::string::npos) << run.text;
+  // As for weights above 1, which estimates may reach; not for those at 2, which were clamped.
+  for (const float most : {1.5f, 2.0f}) {
+    w = worldWithLamps();
+    for (auto& level : w.strips)
+      for (Strip& strip : level)
+        for (LampLight& lamp : strip.lamps) lamp.weight.x *= 2 * most;
+    write(w);
+    EXPECT_EQ(inspect("verify " + world()).code, 0) << inspect("verify " + world()).text;
+    w.strips[1][0].lamps[17].weight.x *= 1.001f;
+    write(w);
+    EXPECT_EQ(inspect("verify " + world()).code, most < 2 ? 4 : 0) << most;
+  }
   w = worldWithLamps();
   w.strips[0][1].lamps.erase(w.strips[0][1].lamps.begin() + 3);  // a patch that none of it reaches
   write(w);

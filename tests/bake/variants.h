@@ -1,4 +1,4 @@
-// The same scene modelled in other ways, and what must come out the same: the light of its places.
+// Scenes as others might have modelled them, and the light in them beside that of a clean twin.
 #pragma once
 #include <gtest/gtest.h>
 
@@ -24,7 +24,7 @@ struct Variant {
   bool turned() const { return std::abs(x.x) < 0.99f; }
 };
 
-inline constexpr Variant kVariants[] = {
+inline const Variant kVariants[] = {
     {"as it is", {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 1, false},
     {"shuffled", {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, 1, true},
     {"turned by 30 degrees", {0.8660254f, 0, -0.5f}, {0, 1, 0}, {0.5f, 0, 0.8660254f}, 1, false},
@@ -92,17 +92,6 @@ inline void expectSameLight(const Light& odd, const Light& twin, const char* var
   EXPECT_NEAR(area / twin_area, 1, 0.01) << variant;
   EXPECT_NEAR(sum / twin_sum, 1, 0.015) << variant;
   EXPECT_LT(worst, 0.08) << variant;
-}
-
-// A room of 4 x 3 x 4 m seen from inside, at x.
-inline void addRoom(Scene& s, float x, uint32_t walls, uint32_t ceiling) {
-  const auto p = [&](int i, int j, int k) { return Vec3{x + 4 * static_cast<float>(i), 3 * static_cast<float>(j), 4 * static_cast<float>(k)}; };
-  addQuad(s, p(0, 0, 0), p(0, 0, 1), p(1, 0, 1), p(1, 0, 0), walls);
-  addQuad(s, p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1), walls);
-  addQuad(s, p(1, 0, 0), p(1, 0, 1), p(1, 1, 1), p(1, 1, 0), walls);
-  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0), walls);
-  addQuad(s, p(0, 0, 1), p(0, 1, 1), p(1, 1, 1), p(1, 0, 1), walls);
-  addQuad(s, p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1), ceiling);
 }
 
 }  // namespace ff::bake::test
