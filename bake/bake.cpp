@@ -408,7 +408,8 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   // Manifest.
   std::vector<std::pair<Cell, uint32_t>> cell_tiles;
   for (uint32_t t = 0; t + 1 < tiles.size(); ++t)
-    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) cell_tiles.emplace_back(set->patches[patch_of[i]].cell, t);
+    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i)
+      for (const Cell& cell : set->cellsOf(set->patches[patch_of[i]])) cell_tiles.emplace_back(cell, t);
   std::vector<float> cells;
   for (uint32_t l = 0; l < hierarchy.levels(); ++l) cells.push_back(std::ldexp(set->cell_m, static_cast<int>(l)));
   formats::WorldInfo info;

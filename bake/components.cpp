@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 
+#include "bake/fineness.h"
 #include "bake/union_find.h"
 
 namespace ff::bake {
@@ -56,6 +57,7 @@ class Labeller {
   static constexpr uint32_t kNobody = 0xffffffff;
 
   const Piece& piece(size_t i) const { return pieces_[sides_[i].piece]; }
+  double crumbOf(size_t i) const { return crumb_ * faceCells(piece(i).fineness); }  // in base cells' faces
   PieceSide at(size_t i) const { return {&piece(i), sides_[i].back == 1}; }
   bool isFenced(size_t i) const {
     const uint32_t back = sides_[i].back;
@@ -69,7 +71,7 @@ class Labeller {
       std::vector<std::pair<std::array<int32_t, 3>, uint32_t>> corners;
       for (uint32_t i = 0; i < n; ++i) {
         if (isFenced(begin + i)) continue;
-        const Cell& cell = piece(begin + i).cell;
+        const Cell cell = baseCell(piece(begin + i).cell, piece(begin + i).fineness);
         for (const Point& p : piece(begin + i).polygon) {
           std::array<int32_t, 3> q;
           for (int a = 0; a < 3; ++a) q[static_cast<size_t>(a)] = static_cast<int32_t>(std::lround((p[a] - cell[a]) * 512));
@@ -148,7 +150,7 @@ class Labeller {
     }
     area_[root] = area;
     centre_[root] = moment * (1 / std::max(area, 1e-30));
-    kind_[root] = area < crumb_ ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
+    kind_[root] = area < crumbOf(root) ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
   }
 
   // The component, not a crumb, that a crumb shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
@@ -167,7 +169,7 @@ class Labeller {
         const Point outward = cross(side, normal) * (1 / length(side));
         const Point next = a + side * 0.5 + outward * kBorderCells - normal * (sides_[i].back ? -kBorderCells : kBorderCells);
         Cell cell;
-        for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d]));
+        for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d] / edgeCells(piece(i).fineness)));
         if (cell != piece(i).cell || isFenced(i)) addHosts(i, k, cell, host, hosts);
       }
     }
@@ -184,7 +186,8 @@ class Labeller {
   void addHosts(uint32_t crumb_side, size_t border, const Cell& cell, const std::vector<uint32_t>& host,
                 std::vector<std::pair<uint32_t, double>>& hosts) const {
     Side place = sides_[crumb_side];
-    place.key = hilbertKey(cell);
+    place.key = hilbertKey(baseCell(cell, place.fineness));
+    place.in_cell = placeInBaseCell(cell, place.fineness);
     const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
     const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
     for (auto s = first; s != last; ++s) {
@@ -206,7 +209,7 @@ class Labeller {
 
   bool isLoose(size_t root, const std::vector<uint32_t>& host) const { return kind_[root] == Kind::kCrumb && host[root] == kNobody; }
   bool isOwn(size_t root, const std::vector<uint32_t>& host) const {
-    return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumb_);
+    return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumbOf(root));
   }
 
   bool sees(size_t crumb, size_t root) const {
@@ -230,13 +233,13 @@ class Labeller {
   }
 
   // Finds hosts for crumbs that see no patch of their place, and for those that would make a patch too small to be of use: of the
-  // same cell or, if that has none, the cells around it.
+  // same base cell or, if that has none, the cells around it. Here alone surface of one grid may join a patch of another.
   void placeCrumbs(size_t begin, size_t end, std::vector<uint32_t>& host) const {
     double area = 0;
     std::vector<uint32_t> own, loose;
     listPlace(begin, end, host, own, loose);
     for (const uint32_t i : loose) area += area_[i];
-    if (own.empty() && area >= kTiny * crumb_) return;
+    if (own.empty() && area >= kTiny * crumbOf(begin)) return;
     for (const uint32_t i : loose) {
       const bool seen = std::any_of(own.begin(), own.end(), [&](uint32_t w) { return sees(i, w); });
       if (seen) continue;
@@ -255,10 +258,12 @@ class Labeller {
         if (kind_[j] == Kind::kWhole && s->lamp_group == sides_[root].lamp_group) consider(root, j, best);
       }
     };
-    const Cell own = piece(root).cell;
+    const int fineness = piece(root).fineness;
+    const Cell own = baseCell(piece(root).cell, fineness);
     look(own);
+    const int32_t step = fineness < 0 ? 1 << -fineness : 1;
     if (!best.seen)
-      for (int32_t n = 0; n < 27; ++n) look({own[0] + n % 3 - 1, own[1] + n / 3 % 3 - 1, own[2] + n / 9 - 1});
+      for (int32_t n = 0; n < 27; ++n) look({own[0] + step * (n % 3 - 1), own[1] + step * (n / 3 % 3 - 1), own[2] + step * (n / 9 - 1)});
     return best;
   }
 
@@ -291,7 +296,7 @@ class Labeller {
 
   const std::span<const Piece> pieces_;
   const std::span<const Side> sides_;
-  const double crumb_;  // cells
+  const double crumb_;  // of a cell's face
   const Fences* const fences_;
   const SealedSurface* const sealed_;
   std::vector<size_t> place_start_;

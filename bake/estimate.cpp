@@ -8,6 +8,7 @@
 #include <thread>
 #include <unordered_set>
 
+#include "bake/fineness.h"
 #include "bake/sobol.h"
 #include "bake/surface_sampling.h"
 
@@ -63,13 +64,17 @@ uint64_t freeMemory() {
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   BakeEstimate e;
   double area = 0;
-  for (uint32_t t = 0; t < scene.triangles.size(); ++t)
-    area += static_cast<double>(triangleArea(scene, t)) * patchedSides(scene.materials[scene.triangles[t].material]);
-  const double s = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / std::max(1u, settings.patch_budget));
-  e.cell_m = s;
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
+    const Material& material = scene.materials[scene.triangles[t].material];
+    area += static_cast<double>(triangleArea(scene, t)) * patchedSides(material) / faceCells(finenessOf(material.density));
+  }
+  e.cell_m = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / std::max(1u, settings.patch_budget));
   std::unordered_set<uint64_t> small;  // cells and orientations of triangles smaller than a cell, which share patches
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto& v = scene.triangles[t].v;
+    const Material& material = scene.materials[scene.triangles[t].material];
+    const int fineness = finenessOf(material.density), sides = patchedSides(material);
+    const double s = e.cell_m * edgeCells(fineness);
     const Vec3 a = scene.positions[v[0]], b = scene.positions[v[1]], c = scene.positions[v[2]], n = cross(b - a, c - a);
     const double whole = static_cast<double>(length(n)) / 2;
     // A plane cuts (|x| + |y| + |z|) cells a cell's face of area, its unit normal's components; its border some more.
@@ -77,13 +82,13 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
     const double border = static_cast<double>(length(b - a) + length(c - b) + length(a - c));
     const double pieces = 1 + whole * across / (s * s) + border / s;
     e.pieces += pieces;
-    const int sides = patchedSides(scene.materials[scene.triangles[t].material]);
     if (border > 4 * s || settings.cell_m == 0) {
       e.patches += sides * std::max(whole * across / (s * s), whole > s * s ? 1.0 : 0.0);
     } else if (sides > 0) {
       const Vec3 at = (a + b + c) / 3.0f;
       uint64_t key = std::abs(n.x) > std::abs(n.y) ? (n.x < 0) : 2 + (n.y < 0);
       if (std::abs(n.z) > std::max(std::abs(n.x), std::abs(n.y))) key = 4 + (n.z < 0);
+      key += 6 * static_cast<uint64_t>(fineness + kMostFineness);
       for (int k = 0; k < 3; ++k) key = mix64(key) + static_cast<uint64_t>(std::llround(std::floor(static_cast<double>(at[k]) / s)));
       if (small.insert(key).second) e.patches += sides;
     }

@@ -16,9 +16,10 @@
 namespace ff::bake {
 
 struct Piece {
-  Cell cell;          // of the grid of patches
+  Cell cell;          // of the triangle's own grid (fineness.h)
   uint32_t triangle;  // of the scene
-  Polygon polygon;    // in units of cells, seen from the triangle's front
+  int fineness;
+  Polygon polygon;    // in units of base cells, seen from the triangle's front
   // Of the front and the back:
   bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
   bool covered[2] = {};  // another surface lies on it, less than a hair away

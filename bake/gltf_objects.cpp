@@ -1,9 +1,9 @@
 #include "bake/gltf_objects.h"
 
+#include "bake/scene.h"
+
 namespace ff::bake::gltf {
 namespace {
-
-constexpr double kLargestDensity = 16;
 
 Traits readTraits(const Item& item) {
   Traits traits;
@@ -18,7 +18,8 @@ Traits readTraits(const Item& item) {
   if (ours->has("occlude_only")) traits.occlude_only = ours->flag("occlude_only");
   if (ours->has("lamp")) traits.lamp = ours->text("lamp");
   if (const auto density = ours->number("density")) {
-    if (!(*density >= 1 / kLargestDensity && *density <= kLargestDensity)) refuse(place, "density must be 1/16 to 16");
+    constexpr double kMost = static_cast<double>(kLargestDensity);
+    if (!(*density >= 1 / kMost && *density <= kMost)) refuse(place, "density must be 1/16 to 16");
     traits.density = static_cast<float>(*density);
   }
   return traits;

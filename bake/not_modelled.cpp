@@ -44,7 +44,6 @@ std::vector<NotModelled> notModelled(const Scene& scene) {
     const bool passes_all = material.transmission == 1 || (material.blend && material.alpha == 0);
     if (triangles[m] == 0 && !passes_all) continue;
     for (const std::string& what : material.left_alone) lines[what][m] = area[m];
-    if (material.density != 1) lines["formfield density: patches are as large as elsewhere"][m] = area[m];
   }
   std::vector<NotModelled> out;
   for (const auto& [what, materials] : lines) {

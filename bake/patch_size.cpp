@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "bake/fineness.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
@@ -42,8 +43,10 @@ float latticeOf(const Scene& scene, float finest_m) {
 
 Result<PatchSet> patchesWithin(uint32_t budget, const Scene& scene, PatchSettings settings, const RayCaster& caster) {
   double area = 0;
-  for (uint32_t t = 0; t < scene.triangles.size(); ++t)
-    area += static_cast<double>(triangleArea(scene, t)) * (scene.materials[scene.triangles[t].material].double_sided ? 2 : 1);
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
+    const Material& material = scene.materials[scene.triangles[t].material];
+    area += static_cast<double>(triangleArea(scene, t)) * (material.double_sided ? 2 : 1) / faceCells(finenessOf(material.density));
+  }
   double cell = std::sqrt(area / budget);
   const float lattice = latticeOf(scene, static_cast<float>(cell / 8));
   if (lattice > 0) cell = alignedWith(lattice, cell);

@@ -11,6 +11,7 @@
 #include <span>
 
 #include "bake/components.h"
+#include "bake/fineness.h"
 #include "bake/pieces.h"
 #include "bake/sealed.h"
 #include "bake/surface_sampling.h"
@@ -38,7 +39,7 @@ class PatchBuilder {
       return Error{ErrorCode::kUsage, scene_.name, "", "patch size must be positive", "give --patch-size in metres"};
     float largest = 0;
     for (uint32_t t = 0; t < scene_.triangles.size(); ++t) largest = std::max(largest, largestCoordinate(scene_, t));
-    if (largest / s >= static_cast<float>(kCellBias - 2))
+    if (largest / s >= static_cast<float>(kCellBias - (2 << kMostFineness)))
       return Error{ErrorCode::kUsage, scene_.name, "", "the scene spans more than 2^20 cells from the origin",
                    "use a larger --patch-size"};
     std::optional<Fences> fences;
@@ -66,7 +67,7 @@ class PatchBuilder {
     // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
     double bound = 0;
     const double s = static_cast<double>(settings_.cell_m);
-    for (uint32_t t = 0; t < n; ++t) bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s);
+    for (uint32_t t = 0; t < n; ++t) bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s * faceCells(finenessOf(scene_.materials[scene_.triangles[t].material].density)));
     if (bound > 5e8)
       return Error{ErrorCode::kUsage, scene_.name, "",
                    "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
@@ -80,6 +81,7 @@ class PatchBuilder {
       }
     });
     set_.piece_start_.assign(n + 1, 0);
+    for (const Triangle& t : scene_.triangles) set_.fineness_.push_back(static_cast<int8_t>(finenessOf(scene_.materials[t.material].density)));
     for (auto& part : parts) {
       for (Piece& p : part) {
         ++set_.piece_start_[p.triangle + 1];
@@ -95,11 +97,14 @@ class PatchBuilder {
 
   void makeSides() {
     for (uint32_t i = 0; i < pieces_.size(); ++i) {
-      const uint64_t key = hilbertKey(pieces_[i].cell);
+      const int fineness = pieces_[i].fineness;
+      const uint64_t key = hilbertKey(baseCell(pieces_[i].cell, fineness));
+      const uint16_t in_cell = placeInBaseCell(pieces_[i].cell, fineness);
       const uint32_t o = orientationOf(vectorArea(pieces_[i].polygon));
       const Material& material = scene_.materials[scene_.triangles[pieces_[i].triangle].material];
       const uint16_t lamp_group = lamps_.of_material[scene_.triangles[pieces_[i].triangle].material];
-      for (uint32_t back = 0; back < static_cast<uint32_t>(patchedSides(material)); ++back) sides_.push_back({key, o ^ back, lamp_group, i, back});
+      for (uint32_t back = 0; back < static_cast<uint32_t>(patchedSides(material)); ++back)
+        sides_.push_back({key, o ^ back, lamp_group, static_cast<int16_t>(fineness), in_cell, i, back});
     }
     tbb::parallel_sort(sides_.begin(), sides_.end());
   }
@@ -110,8 +115,9 @@ class PatchBuilder {
     set_.patches.resize(labels_.home.size());
     for (size_t p = 0; p < set_.patches.size(); ++p) {
       const Side& side = sides_[labels_.home[p]];
-      set_.patches[p].cell = pieces_[side.piece].cell;
+      set_.patches[p].cell = baseCell(pieces_[side.piece].cell, side.fineness);
       set_.patches[p].key = side.key;
+      set_.patches[p].fineness = side.fineness;
       set_.patches[p].orientation = side.orientation;
       set_.patches[p].lamp_group = side.lamp_group;
     }
@@ -228,6 +234,35 @@ Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, 
   return PatchBuilder(scene, settings, caster).build();
 }
 
+std::vector<Cell> PatchSet::cellsOf(const Patch& patch) const {
+  if (patch.fineness >= 0) return {patch.cell};
+  constexpr double kBehind = 1e-3;  // cells: a face in a grid plane belongs to the cell behind it
+  std::vector<Cell> cells;
+  for (uint32_t k = patch.first_triangle; k < patch.first_triangle + patch.triangles; ++k) {
+    const PatchTriangle& t = triangles[k];
+    const Vec3 normal = normalized(cross(t.b - t.a, t.c - t.a));
+    Cell lo, hi;
+    for (int a = 0; a < 3; ++a) {
+      const auto [least, most] = std::minmax({t.a[a], t.b[a], t.c[a]});
+      const auto cellAt = [&](float x, double inside) {
+        return static_cast<int32_t>(std::floor(static_cast<double>(x) / static_cast<double>(cell_m) + inside - kBehind * static_cast<double>(normal[a])));
+      };
+      lo[static_cast<size_t>(a)] = cellAt(least, least < most ? kBehind : 0);
+      hi[static_cast<size_t>(a)] = std::max(lo[static_cast<size_t>(a)], cellAt(most, least < most ? -kBehind : 0));
+    }
+    for (int32_t x = lo[0]; x <= hi[0]; ++x)
+      for (int32_t y = lo[1]; y <= hi[1]; ++y)
+        for (int32_t z = lo[2]; z <= hi[2]; ++z) {
+          const Vec3 middle = Vec3{static_cast<float>(x) + 0.5f, static_cast<float>(y) + 0.5f, static_cast<float>(z) + 0.5f} * cell_m;
+          const float reach = (std::abs(normal.x) + std::abs(normal.y) + std::abs(normal.z)) * 0.5f * cell_m;
+          if (std::abs(dot(normal, middle - t.a)) <= reach * 1.0001f) cells.push_back({x, y, z});
+        }
+  }
+  std::sort(cells.begin(), cells.end());
+  cells.erase(std::unique(cells.begin(), cells.end()), cells.end());
+  return cells;
+}
+
 uint32_t PatchSet::searchPatch(uint32_t t, bool front, Vec3 p) const {
   const auto first = pieces_.begin() + piece_start_[t], last = pieces_.begin() + piece_start_[t + 1];
   if (first == last) return kNone;
@@ -236,15 +271,16 @@ uint32_t PatchSet::searchPatch(uint32_t t, bool front, Vec3 p) const {
     return at != last && at->cell == cell ? at : last;
   };
   Cell own;
-  for (int a = 0; a < 3; ++a) own[static_cast<size_t>(a)] = static_cast<int32_t>(std::floor(p[a] / cell_m));
+  const float edge_m = cell_m * static_cast<float>(edgeCells(fineness_[t]));
+  for (int a = 0; a < 3; ++a) own[static_cast<size_t>(a)] = static_cast<int32_t>(std::floor(p[a] / edge_m));
   auto best = find(own);
   if (best == last) {  // in a grid plane, or on the border of a cell: the nearest cell
     float nearest = 1e30f;
     const auto consider = [&](auto q) {
       Box box;
       const Vec3 lo{static_cast<float>(q->cell[0]), static_cast<float>(q->cell[1]), static_cast<float>(q->cell[2])};
-      box.add(lo * cell_m);
-      box.add((lo + Vec3{1, 1, 1}) * cell_m);
+      box.add(lo * edge_m);
+      box.add((lo + Vec3{1, 1, 1}) * edge_m);
       if (const float d = box.distance(p); d < nearest) {
         nearest = d;
         best = q;

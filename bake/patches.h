@@ -1,7 +1,8 @@
 // Cuts a scene's triangles into patches: pieces of surface that are connected, in one grid cell, one orientation class and one
-// lamp group or none. A thin wall's two sides, two floors in one cell, a lamp and its shade, a floor on both sides of a wall that
-// stands on it (fences.h) are never one patch. Sealed surface (sealed.h), which no light gets to, has none. Crumbs join a
-// neighbour (components.h), so that a patch may reach a little over its cell's border. Double-sided surfaces get a patch a side.
+// lamp group or none. Materials of another density have a grid of their own (fineness.h). A thin wall's two sides, two floors in
+// one cell, a lamp and its shade, a floor on both sides of a wall that stands on it (fences.h) are never one patch. Sealed surface
+// (sealed.h), which no light gets to, has none. Crumbs join a neighbour (components.h), so that a patch may reach a little over
+// its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
 #include <atomic>
 #include <cstdint>
@@ -21,8 +22,9 @@ namespace ff::bake {
 inline constexpr uint32_t kOrientations = 6;  // dominant axis of the normal and its sign: +x -x +y -y +z -z
 
 struct Patch {
-  Cell cell{};
+  Cell cell{};              // of the base grid
   uint64_t key = 0;         // hilbertKey(cell)
+  int fineness = 0;         // of its own grid
   uint32_t orientation = 0;
   uint16_t lamp_group = formats::kNoLampGroup;  // of its material, if that emits: emitters of two groups, or one and
                                                 // what holds it, never share a patch or a cluster
@@ -43,7 +45,7 @@ struct PatchTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, first piece)
+  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, own grid, cell of that, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
   float cell_m = 1;
   double area_m2 = 0, sealed_m2 = 0;     // of the patches; of sealed surface, which has none
@@ -56,19 +58,23 @@ class PatchSet {
     return searchPatch(t, front, p);
   }
 
+  // The base cells that a patch lies in, crumbs apart: `cell` alone unless it is coarser. That is as near as its triangles' planes tell.
+  std::vector<Cell> cellsOf(const Patch& patch) const;
+
  private:
   friend class PatchBuilder;
   struct CutPiece {
-    Cell cell;
+    Cell cell;                           // of the triangle's own grid
     uint32_t patch[2] = {kNone, kNone};  // front, back
     uint32_t first_rim = 0, rims = 0;    // its outline where a triangle has several pieces in a cell
   };
-  struct Rim {  // the line through a side of a polygon; cells
+  struct Rim {  // the line through a side of a polygon; base cells
     Point at, inward;
   };
   uint32_t searchPatch(uint32_t t, bool front, Vec3 p) const;
 
   std::vector<uint32_t> piece_start_;  // per scene triangle
+  std::vector<int8_t> fineness_;       // likewise
   std::vector<CutPiece> pieces_;       // by triangle, cells ascending
   std::vector<Rim> rims_;
 };

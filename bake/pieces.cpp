@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "bake/fineness.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
@@ -52,15 +53,16 @@ void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, doub
 }  // namespace
 
 void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
+  const int fineness = finenessOf(scene_.materials[scene_.triangles[triangle].material].density);
+  const double s = static_cast<double>(cell_m_) * edgeCells(fineness);  // clipped in units of own cells
   Polygon corners;
   for (const uint32_t v : scene_.triangles[triangle].v) {
     const Vec3 p = scene_.positions[v];
-    const auto s = static_cast<double>(cell_m_);
     corners.push_back({static_cast<double>(p.x) / s, static_cast<double>(p.y) / s, static_cast<double>(p.z) / s});
   }
   std::vector<std::pair<Cell, Polygon>> parts;
   // A stray object far away must not make the rest coarser: by the triangle's own coordinates.
-  const double rounding = static_cast<double>(largestCoordinate(scene_, triangle)) * 0x1p-24 / static_cast<double>(cell_m_);
+  const double rounding = static_cast<double>(largestCoordinate(scene_, triangle)) * 0x1p-24 / s;
   clip(corners, 0, {}, vectorArea(corners), std::max(1e-4, 4 * rounding), parts);
   // Slivers that only rounding made are left out.
   if (parts.size() > 1) {
@@ -73,7 +75,8 @@ void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
   }
   std::stable_sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   for (auto& [cell, polygon] : parts) {
-    Piece piece{cell, triangle, std::move(polygon)};
+    for (Point& p : polygon) p = p * edgeCells(fineness);  // exact
+    Piece piece{cell, triangle, fineness, std::move(polygon)};
     if (fences_) {
       fences_->cut(std::move(piece), out);
     } else {

@@ -1,4 +1,5 @@
-// A scene's triangles clipped to grid cells and cut where other surfaces part them: the pieces that patches are made of.
+// A scene's triangles clipped to the cells of their grids (fineness.h) and cut where other surfaces part them: the pieces that
+// patches are made of.
 #pragma once
 #include <cstdint>
 #include <vector>

@@ -14,6 +14,7 @@
 namespace ff::bake {
 
 inline constexpr uint32_t kNone = 0xffffffffu;
+inline constexpr float kLargestDensity = 16;  // Material::density
 
 struct Vec2 {
   float x = 0, y = 0;
@@ -50,7 +51,7 @@ struct Material {
   float transmission = 0;        // share of the light that passes where alpha would stop it
   bool unlit = false;            // KHR_materials_unlit
   bool occlude_only = false;     // blocks light and has no patches
-  float density = 1;             // of patches: 2 has them half as large
+  float density = 1;             // of patches: 2 has them half as large; 1/kLargestDensity to kLargestDensity, rounded to a power of two
   std::vector<std::string> left_alone{};  // what the file asks of it and is not modelled, a line each: "EXTENSION: what"
 };
 

@@ -3,11 +3,14 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <map>
 #include <tuple>
 
 #include "bake/coincident.h"
+#include "bake/fineness.h"
 #include "bake/scene_names.h"
 #include "bake/sky_dome.h"
 #include "bake/surface_sampling.h"
@@ -15,7 +18,6 @@
 namespace ff::bake {
 namespace {
 
-constexpr float kLargestDensity = 16;
 constexpr double kWorthALine = 1e-3;  // of the surface; panes of glass count nothing
 
 // A scene that is copied once something is to change.
@@ -75,6 +77,21 @@ class Cleaner {
 
 std::string counted(uint64_t n, const char* thing) { return std::to_string(n) + " " + thing + (n == 1 ? "" : "s"); }
 
+// Densities that are no power of two, a line each.
+void noteRounding(const Scene& scene, std::vector<std::string>& notes) {
+  std::map<float, PlaceSums> rounded;
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
+    const float density = scene.materials[scene.triangles[t].material].density;
+    if (density == std::ldexp(1.0f, finenessOf(density))) continue;
+    rounded.try_emplace(density, scene).first->second.add(t, static_cast<double>(triangleArea(scene, t)));
+  }
+  for (const auto& [density, places] : rounded) {
+    char text[80];
+    std::snprintf(text, sizeof text, "a density of %g is rounded to %g, a power of two: ", static_cast<double>(density), std::ldexp(1.0, finenessOf(density)));
+    notes.push_back(text + places.heaviest());
+  }
+}
+
 void sign(Scene& s) {
   std::vector<float> numbers;
   for (const Material& m : s.materials) numbers.insert(numbers.end(), {m.occlude_only ? 1.0f : 0.0f, m.density, m.double_sided ? 1.0f : 0.0f});
@@ -106,7 +123,7 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
   }
   for (const auto& [pattern, density] : settings.density) {
     if (!(density >= 1 / kLargestDensity && density <= kLargestDensity))
-      return Error{ErrorCode::kUsage, whole.name, "", "the density of \"" + pattern + "\" must be 1/16 to 16", "2 halves its patches"};
+      return Error{ErrorCode::kUsage, whole.name, "", "the density of \"" + pattern + "\" must be 0.0625 to 16", "2 has patches half as large"};
     auto match = cleaner.chosen(pattern);
     if (!match) return match.error();
     cleaner.remake(*match, [d = density](Material& m) { m.density = d; });
@@ -153,6 +170,7 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
     if (settings.backs == Backs::kReflect)
       for (Material& m : s.materials) m.double_sided = true;
   }
+  noteRounding(cleaner.scene(), notes);
   Cleanup out{cleaner.take(), std::move(notes)};
   if (out.scene) sign(*out.scene);
   return out;

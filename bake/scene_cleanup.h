@@ -12,7 +12,7 @@ namespace ff::bake {
 
 struct CleanupSettings {
   // Patterns (see matching()) of nodes, meshes and materials: left out; only in the light's way, without patches; with patches
-  // of 1 / density of the size.
+  // 1 / density as long as elsewhere; of several patterns that match the last counts.
   std::vector<std::string> exclude{}, occlude_only{};
   std::vector<std::pair<std::string, float>> density{};
   bool keep_sky_dome = false;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "bake/cosine_rays.h"
+#include "bake/fineness.h"
 #include "bake/surface_sampling.h"
 
 namespace ff::bake {
@@ -14,6 +15,7 @@ namespace {
 // kFew rays that all go far say that surface is open; else kMostProbes, or kOfCrumbs of what is under kCrumbCells of a cell's
 // face, are cast. Hidden origins, more than half, or kClosed of the rays of the others ending within kNear cells are what sealed
 // surface has. In the second case kWalks random walks of kBounces look for a way out, kOut cells from where they start, or a lamp.
+// Distances are in base cells, whatever the fineness: whether light gets to a place is not for its patches to say.
 constexpr uint32_t kFew = 8, kOfCrumbs = 16, kWalks = 4, kBounces = 64;
 constexpr float kNear = 1, kOut = 4;
 constexpr double kClosed = 0.95, kCrumbCells = 0.05;
@@ -58,7 +60,7 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
   const auto seeds = SobolTable::seeds(0, id);
   uint32_t origins = 0, hidden = 0, near = 0;
   std::array<Ray, kMostProbes> rays;  // those that end near
-  for (uint32_t k = 0; k < (area < kCrumbCells ? kOfCrumbs : kMostProbes); ++k) {
+  for (uint32_t k = 0; k < (area < kCrumbCells * faceCells(first.fineness) ? kOfCrumbs : kMostProbes); ++k) {
     if (k == kFew && near == 0 && (hidden == 0 || hidden == origins)) break;
     const auto u = points_.point(k, seeds);
     const double x = static_cast<double>(u[0]) * area;

@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <cmath>
+#include <cstdlib>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -60,6 +61,17 @@ class ProgressPrinter {
 int fail(const ff::Error& error) {
   fmt::print(stderr, "ffbake: {}\n", error.line());
   return static_cast<int>(error.code);
+}
+
+// PATTERN=NUMBER; the pattern may hold = as well.
+ff::Result<std::pair<std::string, float>> readDensity(const std::string& text) {
+  const size_t at = text.rfind('=');
+  const std::string number = at == std::string::npos ? "" : text.substr(at + 1);
+  char* end = nullptr;
+  const float density = std::strtof(number.c_str(), &end);
+  if (number.empty() || *end != '\0' || at == 0)
+    return ff::Error{ff::ErrorCode::kUsage, "--density", "", "\"" + text + "\" is not PATTERN=NUMBER", "--density 'lamp*=2', for one"};
+  return std::pair(text.substr(0, at), density);
 }
 
 void printSummary(const ff::bake::BakeStats& s, const std::string& out) {
@@ -151,6 +163,8 @@ int main(int argc, char** argv) {
   app.add_option("--exclude,--leave-out", settings.cleanup.exclude,
                  "nodes, meshes and materials, by name (* stands for any text), that take no part: toon outlines, helpers");
   app.add_option("--occlude-only", settings.cleanup.occlude_only, "the same, which block light and have no patches");
+  std::vector<std::string> densities;
+  app.add_option("--density", densities, "the same, as PATTERN=2: patches 1/2 as long as elsewhere; 0.0625 to 16, rounded to a power of two");
   app.add_flag("--keep-sky-dome", settings.cleanup.keep_sky_dome, "bake a dome of pictures of the sky like any surface");
   app.add_option("--backs", settings.cleanup.backs, "what single-sided surfaces do to light from behind: absorb, reflect, pass")
       ->transform(CLI::CheckedTransformer(
@@ -173,6 +187,11 @@ int main(int argc, char** argv) {
   }
   settings.geometry = !no_geometry;
   import.z_up = up == "z";
+  for (const std::string& density : densities) {
+    auto read = readDensity(density);
+    if (!read) return fail(read.error());
+    settings.cleanup.density.push_back(std::move(*read));
+  }
 
   ProgressPrinter printer(quiet);
   import.progress = [&, last = Clock::time_point{}](uint64_t done, uint64_t total) mutable {

@@ -5,7 +5,6 @@
 
 #include "bake/coincident.h"
 #include "bake/gltf_import.h"
-#include "bake/not_modelled.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {
@@ -257,17 +256,6 @@ TEST(OddGeometry, ChosenObjectsAreLeftOutOrOnlyBlockLight) {
   uint64_t absorbed = 0;
   for (const uint32_t hits : c.rows.absorbed) absorbed += hits;
   EXPECT_GT(absorbed, 0u);  // rays end on the lamp
-}
-
-TEST(OddGeometry, ADensityThatIsNotFollowedIsNamed) {
-  Scene s = floorUnderSlab(0);
-  EXPECT_TRUE(notModelled(s).empty());
-  s.materials[0].name = "carpet";
-  s.materials[0].density = 2;
-  const auto lines = notModelled(s);
-  ASSERT_EQ(lines.size(), 1u);
-  EXPECT_EQ(lines[0].names, std::vector<std::string>{"carpet"});
-  EXPECT_EQ(lines[0].triangles, s.triangles.size());
 }
 
 TEST(OddGeometry, OfTheTrialsIsAsTheirTwins) {
