@@ -40,7 +40,7 @@ struct Weld {
 };
 
 // A vertex takes light from the patches that meet in it and from those that touch these and face the same way (within 60
-// degrees), by area times a tent of 1.5 cells around the patch's centroid; the 8 largest weights are kept.
+// degrees), by area times a tent of 1.5 cells of its grid around the patch's centroid; the 8 largest weights are kept.
 Weld weldScene(const ViewScene& scene);
 
 }  // namespace ff::view

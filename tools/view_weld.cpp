@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <unordered_map>
 
@@ -70,15 +71,34 @@ Lists makeLists(std::vector<std::pair<uint32_t, uint32_t>> pairs, size_t count) 
   return lists;
 }
 
-VertexPatches lightOf(const ViewScene& scene, const Lists& touching, const Lists& neighbours, uint32_t vertex, Vec3 at,
-                      Vec3 normal) {
+// The edge of the grid that each patch was cut by, m: where patches are finer or coarser, cell_m by a power of two. As long as the
+// longest side of its box or of one that touches it, for patches may be smaller than their cell.
+std::vector<float> gridOf(const ViewScene& scene, const Lists& neighbours) {
+  constexpr float kSlack = 0.25f;  // crumbs reach over the border of a cell
+  std::vector<Box> box(scene.patches.size());
+  for (size_t c = 0; c < scene.corners.size(); ++c) box[scene.triangle_patch[c / 3]].add(scene.corners[c]);
+  const auto longest = [&](uint32_t p) {
+    const Vec3 size = box[p].hi - box[p].lo;
+    return std::max({size.x, size.y, size.z});
+  };
+  std::vector<float> grid(scene.patches.size(), scene.cell_m);
+  for (uint32_t p = 0; p < grid.size(); ++p) {
+    float size = longest(p);
+    for (const uint32_t q : neighbours.of(p)) size = std::max(size, longest(q));
+    if (size > 0) grid[p] *= std::exp2(std::clamp(std::floor(std::log2(size / scene.cell_m) + kSlack), -4.0f, 4.0f));
+  }
+  return grid;
+}
+
+VertexPatches lightOf(const ViewScene& scene, const Lists& touching, const Lists& neighbours, std::span<const float> grid,
+                      uint32_t vertex, Vec3 at, Vec3 normal) {
   std::vector<std::pair<float, uint32_t>> weights;  // found by a linear search: a few dozen at most
   const auto add = [&](uint32_t patch, bool touches) {
     for (const auto& [w, p] : weights)
       if (p == patch) return;
     const formats::Node& n = scene.patches[patch];
     if (!touches && dot(n.normal, normal) <= kSameWay) return;
-    const float tent = 1 - length(at - n.centroid) / (kTentCells * scene.cell_m);
+    const float tent = 1 - length(at - n.centroid) / (kTentCells * grid[patch]);
     if (tent > 0) weights.emplace_back(tent * n.area_m2, patch);
   };
   for (const uint32_t patch : touching.of(vertex)) add(patch, true);
@@ -164,9 +184,10 @@ Weld weldScene(const ViewScene& scene) {
       for (const uint32_t b : touching.of(v))
         if (a != b) pairs.emplace_back(a, b);
   const Lists neighbours = makeLists(std::move(pairs), scene.patches.size());
+  const std::vector<float> grid = gridOf(scene, neighbours);
   weld.light_from.resize(vertices);
   for (uint32_t v = 0; v < vertices; ++v)
-    weld.light_from[v] = lightOf(scene, touching, neighbours, v, weld.position[v], weld.normal[v]);
+    weld.light_from[v] = lightOf(scene, touching, neighbours, grid, v, weld.position[v], weld.normal[v]);
   return weld;
 }
 

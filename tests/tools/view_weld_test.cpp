@@ -107,5 +107,23 @@ TEST(Weld, DoesNotReachFurtherThanATentOfOneAndAHalfCells) {
   EXPECT_EQ(lighters.size(), 9u);
 }
 
+TEST(Weld, SmoothsFinerAndCoarserPatchesAsThoseOfOneCell) {
+  const auto weld = [](float cell_m) {
+    ViewScene scene;
+    scene.cell_m = cell_m;
+    addSheet(scene, {0, 0, 0}, {0, 0, 5}, {4, 0, 0}, 5, 4);
+    return weldScene(scene);
+  };
+  const Weld twin = weld(1);
+  for (const float cell_m : {0.25f, 0.5f, 2.0f, 8.0f}) {
+    const Weld same = weld(cell_m);
+    ASSERT_EQ(same.light_from.size(), twin.light_from.size());
+    for (size_t v = 0; v < twin.light_from.size(); ++v) {
+      EXPECT_EQ(same.light_from[v].patch, twin.light_from[v].patch) << cell_m;
+      EXPECT_EQ(same.light_from[v].weight, twin.light_from[v].weight) << cell_m;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace ff::view
