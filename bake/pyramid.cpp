@@ -31,20 +31,82 @@ size_t countClusters(std::span<const Patch> patches, std::span<const uint32_t> g
   return static_cast<size_t>(std::unique(clusters.begin(), clusters.end()) - clusters.begin());
 }
 
-// Tiles of at most kTileNodes; a new one starts where the next siblings would not fit.
-std::vector<uint32_t> cutTiles(uint32_t nodes, std::span<const uint32_t> parents) {
-  std::vector<uint32_t> start{0};
-  uint32_t i = 0;
-  while (i < nodes) {
-    uint32_t next = i + 1;
-    if (!parents.empty())
-      while (next < nodes && parents[next] == parents[i]) ++next;
-    if (next - start.back() > formats::kTileNodes) start.push_back(i);
-    i = next;
+// The children of one node, or a node of the coarsest level: what a tile takes whole.
+struct Family {
+  uint64_t cell;          // Hilbert key of the cell that they share
+  uint32_t group;
+  uint32_t first, nodes;  // in the order of clustering
+};
+
+// Cuts families into tiles: see pyramid.h.
+class TileCutter {
+ public:
+  // family_log: edge of a family's cell, in cells of the level, as a power of 2.
+  TileCutter(int family_log, std::vector<uint32_t>& order, std::vector<uint32_t>& tile_start)
+      : family_log_(family_log), order_(order), tile_start_(tile_start) {}
+
+  // The families below one tile, in any order. Appends their nodes, and where tiles end.
+  void cut(std::span<Family> families) {
+    std::sort(families.begin(), families.end(), [](const Family& a, const Family& b) {
+      return std::tie(a.cell, a.group, a.first) < std::tie(b.cell, b.group, b.first);
+    });
+    int edge_log = family_log_;
+    while (cube(families.front(), edge_log) != cube(families.back(), edge_log)) ++edge_log;
+    cut(families, edge_log);
   }
-  start.push_back(nodes);
-  return start;
-}
+
+ private:
+  uint64_t cube(const Family& family, int edge_log) const { return hilbertAncestor(family.cell, edge_log - family_log_); }
+  static uint32_t nodesOf(std::span<const Family> families) {
+    uint32_t nodes = 0;
+    for (const Family& f : families) nodes += f.nodes;
+    return nodes;
+  }
+
+  // Families of one cube, by cell.
+  void cut(std::span<Family> families, int edge_log) {
+    const bool wide = edge_log > kTileEdgeLog;
+    if (!wide && nodesOf(families) <= formats::kTileNodes) return close(families);
+    size_t open = 0;  // first family of the tile that is not closed yet
+    uint32_t nodes = 0;
+    for (size_t k = 0; k < families.size();) {
+      size_t end = k + 1;  // a single cell is cut between families
+      if (edge_log > family_log_)
+        while (end < families.size() && cube(families[end], edge_log - 1) == cube(families[k], edge_log - 1)) ++end;
+      const auto part = families.subspan(k, end - k);
+      const uint32_t more = nodesOf(part);
+      const bool alone = wide || more > formats::kTileNodes;
+      if (alone || nodes + more > formats::kTileNodes) {
+        close(families.subspan(open, k - open));
+        open = k;
+        nodes = 0;
+      }
+      nodes += more;
+      if (alone) {
+        cut(part, edge_log - 1);
+        open = end;
+        nodes = 0;
+      }
+      k = end;
+    }
+    close(families.subspan(open));
+  }
+
+  // All classes of the place are one tile; in it nodes of a class are neighbours, as rows of one class are alike.
+  void close(std::span<Family> families) {
+    if (families.empty()) return;
+    std::sort(families.begin(), families.end(), [](const Family& a, const Family& b) {
+      return std::tie(a.group, a.cell, a.first) < std::tie(b.group, b.cell, b.first);
+    });
+    for (const Family& f : families)
+      for (uint32_t i = 0; i < f.nodes; ++i) order_.push_back(f.first + i);
+    tile_start_.push_back(static_cast<uint32_t>(order_.size()));
+  }
+
+  int family_log_;
+  std::vector<uint32_t>& order_;
+  std::vector<uint32_t>& tile_start_;
+};
 
 }  // namespace
 
@@ -69,34 +131,76 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   std::vector<SortKey> order(n);
   for (uint32_t i = 0; i < n; ++i) order[i] = {hilbertAncestor(patches[i].key, top), group[i], patches[i].key, i};
   tbb::parallel_sort(order.begin(), order.end());
-  Hierarchy h;
-  h.number.resize(n);
-  for (uint32_t i = 0; i < n; ++i) h.number[order[i].patch] = i;
-
-  std::vector<uint32_t> first(n);  // first patch of each node of the level
-  std::iota(first.begin(), first.end(), 0u);
-  h.nodes.push_back(n);
+  // Clusters, in the order of clustering: a node's children are consecutive, as are a cluster's patches.
+  struct Level {
+    std::vector<uint32_t> first;   // patch of each node
+    std::vector<uint32_t> parent;  // of each node
+    std::vector<uint32_t> child;   // first one of each node, then the number of nodes below
+  };
+  std::vector<Level> levels(static_cast<size_t>(top) + 1);
+  levels[0].first.resize(n);
+  std::iota(levels[0].first.begin(), levels[0].first.end(), 0u);
   for (int level = 1; level <= top; ++level) {
-    std::vector<uint32_t> parents(first.size()), next;
+    Level &below = levels[static_cast<size_t>(level) - 1], &own = levels[static_cast<size_t>(level)];
+    const std::vector<uint32_t>& first = below.first;
+    below.parent.resize(first.size());
     uint32_t siblings = 0;
     for (size_t k = 0; k < first.size(); ++k) {
       const SortKey& a = order[first[k]];
       const bool same = k > 0 && siblings < kMaxSiblings && a.group == order[first[k - 1]].group &&
                         hilbertAncestor(a.key, level) == hilbertAncestor(order[first[k - 1]].key, level);
       if (!same) {
-        next.push_back(first[k]);
+        own.first.push_back(first[k]);
+        own.child.push_back(static_cast<uint32_t>(k));
         siblings = 0;
       }
       ++siblings;
-      parents[k] = static_cast<uint32_t>(next.size()) - 1;
+      below.parent[k] = static_cast<uint32_t>(own.first.size()) - 1;
     }
-    h.parents.push_back(std::move(parents));
-    h.nodes.push_back(static_cast<uint32_t>(next.size()));
-    first = std::move(next);
+    own.child.push_back(static_cast<uint32_t>(first.size()));
   }
-  for (uint32_t l = 0; l < h.levels(); ++l)
-    h.tile_start.push_back(cutTiles(h.nodes[l], l + 1 < h.levels() ? std::span<const uint32_t>(h.parents[l])
-                                                                   : std::span<const uint32_t>()));
+
+  // Tiles, from the coarsest level down: the children of a tile's nodes are tiles of their own.
+  Hierarchy h;
+  h.nodes.resize(levels.size());
+  h.tile_start.resize(levels.size());
+  h.parents.resize(levels.size() - 1);
+  h.tile_parents.resize(levels.size() - 1);
+  std::vector<uint32_t> above, now;  // of each node in the final order: its number in the order of clustering
+  std::vector<Family> families;
+  for (int level = top; level >= 0; --level) {
+    const auto l = static_cast<size_t>(level);
+    const Level& own = levels[l];
+    now.clear();
+    h.nodes[l] = static_cast<uint32_t>(own.first.size());
+    h.tile_start[l].assign(1, 0);
+    const int family_log = level == top ? 0 : 1;
+    TileCutter cutter(family_log, now, h.tile_start[l]);
+    const auto familyOf = [&](uint32_t first, uint32_t nodes) {
+      const SortKey& key = order[own.first[first]];
+      return Family{hilbertAncestor(key.key, level + family_log), key.group, first, nodes};
+    };
+    if (level == top) {
+      families.clear();
+      for (uint32_t k = 0; k < h.nodes[l]; ++k) families.push_back(familyOf(k, 1));
+      cutter.cut(families);
+    } else {
+      const std::vector<uint32_t>& child = levels[l + 1].child;
+      for (uint32_t t = 0; t + 1 < h.tile_start[l + 1].size(); ++t) {
+        families.clear();
+        for (uint32_t k = h.tile_start[l + 1][t]; k < h.tile_start[l + 1][t + 1]; ++k)
+          families.push_back(familyOf(child[above[k]], child[above[k] + 1] - child[above[k]]));
+        cutter.cut(families);
+        h.tile_parents[l].resize(h.tile_start[l].size() - 1, t);
+      }
+      std::vector<uint32_t> number(above.size());  // of each node above, in the final order
+      for (uint32_t k = 0; k < above.size(); ++k) number[above[k]] = k;
+      for (const uint32_t k : now) h.parents[l].push_back(number[own.parent[k]]);
+    }
+    above.swap(now);
+  }
+  h.number.resize(n);
+  for (uint32_t k = 0; k < n; ++k) h.number[order[above[k]].patch] = k;
   return h;
 }
 
@@ -161,8 +265,11 @@ void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradianc
 
 ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes)
     : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes), lamps_(nodes) {
-  std::vector<uint32_t> first(nodes + 1, static_cast<uint32_t>(parents.size()));  // first child
-  for (size_t i = parents.size(); i-- > 0;) first[parents[i]] = static_cast<uint32_t>(i);
+  std::vector<uint32_t> first(nodes), children(nodes, 0);
+  for (size_t i = parents.size(); i-- > 0;) {
+    first[parents[i]] = static_cast<uint32_t>(i);
+    ++children[parents[i]];
+  }
   struct Scratch {
     std::vector<double> exchange;  // per node, zero between rows
     std::vector<uint8_t> seen;
@@ -178,7 +285,7 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
     for (auto n = static_cast<uint32_t>(c * kChunk); n < std::min<size_t>(nodes, (c + 1) * kChunk); ++n) {
       double area = 0, absorbed = 0;
       SkySums sky;
-      for (uint32_t i = first[n]; i < first[n + 1]; ++i) {
+      for (uint32_t i = first[n]; i < first[n] + children[n]; ++i) {
         below.row(i, s.row);
         for (size_t k = 0; k < s.row.column.size(); ++k) {
           const uint32_t j = parents[s.row.column[k]];

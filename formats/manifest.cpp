@@ -149,23 +149,31 @@ Result<void> readShards(const Section& s, std::vector<ShardRecord>& shards) {
   return finished(r, s);
 }
 
-Result<void> readParents(const Section& s, std::span<const LevelInfo> levels, std::vector<ParentLinks>& parents) {
+Result<void> readLinks(const Section& s, std::span<const LevelInfo> levels, std::vector<LevelLinks>& links) {
   ByteReader r(s.bytes);
   for (size_t l = 0; l + 1 < levels.size(); ++l) {
-    const uint32_t nodes = levels[l].nodes;
-    const size_t words = (size_t{nodes} + 63) / 64;
-    const std::string level = "parent links of level " + std::to_string(l);
-    if (r.remaining() / 8 < words) return broken(s.record.offset, level + " are cut off");
-    std::vector<uint64_t> bits(words);
-    for (uint64_t& w : bits) r.u64(w);
-    if ((bits[0] & 1) == 0) return broken(s.record.offset, level + " do not begin with a parent");
-    if (nodes % 64 != 0 && bits.back() >> (nodes % 64) != 0)
-      return broken(s.record.offset, level + " name nodes past the last one");
-    parents.emplace_back(std::move(bits), nodes);
-    if (parents.back().parents() != levels[l + 1].nodes)
-      return broken(s.record.offset, level + " have " + std::to_string(parents.back().parents()) +
-                                         " parents, level " + std::to_string(l + 1) + " has " +
-                                         std::to_string(levels[l + 1].nodes) + " nodes");
+    LevelLinks& level = links.emplace_back();
+    const auto read = [&](uint32_t children, uint32_t parents, const char* what, ParentLinks& out) -> Result<void> {
+      const size_t words = (size_t{children} + 63) / 64;
+      const std::string name = "parent links of level " + std::to_string(l) + "'s " + what;
+      if (r.remaining() / 8 < words) return broken(s.record.offset, name + " are cut off");
+      std::vector<uint64_t> bits(words);
+      for (uint64_t& w : bits) r.u64(w);
+      if ((bits[0] & 1) == 0) return broken(s.record.offset, name + " do not begin with a parent");
+      if (children % 64 != 0 && bits.back() >> (children % 64) != 0)
+        return broken(s.record.offset, name + " go past the last one");
+      out = ParentLinks(std::move(bits), children);
+      if (out.parents() != parents)
+        return broken(s.record.offset, name + " have " + std::to_string(out.parents()) + " parents, level " +
+                                           std::to_string(l + 1) + " has " + std::to_string(parents));
+      return {};
+    };
+    if (auto ok = read(levels[l].tiles, levels[l + 1].tiles, "tiles", level.tiles); !ok) return ok;
+    if (auto ok = read(levels[l].nodes, levels[l + 1].nodes, "nodes", level.families); !ok) return ok;
+    if (r.remaining() < levels[l + 1].nodes)
+      return broken(s.record.offset, "places of the parents of level " + std::to_string(l) + " are cut off");
+    level.places.resize(levels[l + 1].nodes);
+    for (uint8_t& place : level.places) r.u8(place);
   }
   return finished(r, s);
 }
@@ -223,7 +231,7 @@ Result<Manifest> parseManifest(std::span<const std::byte> bytes) {
   if (auto ok = readInfo(*(*sections)[kSectionInfo], m.info); !ok) return ok.error();
   if (auto ok = readLevels(*(*sections)[kSectionLevels], m.levels); !ok) return ok.error();
   if (auto ok = readShards(*(*sections)[kSectionShards], m.shards); !ok) return ok.error();
-  if (auto ok = readParents(*(*sections)[kSectionParents], m.levels, m.parents); !ok) return ok.error();
+  if (auto ok = readLinks(*(*sections)[kSectionParents], m.levels, m.links); !ok) return ok.error();
   if ((*sections)[kSectionLampGroups])
     if (auto ok = readLampGroups(*(*sections)[kSectionLampGroups], m.info.lamp_groups); !ok) return ok.error();
   if ((*sections)[kSectionGrid])

@@ -21,7 +21,7 @@ struct Manifest {
   WorldInfo info;
   std::vector<LevelInfo> levels;
   std::vector<ShardRecord> shards;
-  std::vector<ParentLinks> parents;  // of each level but the last
+  std::vector<LevelLinks> links;  // of each level but the last; whether places fit the tiles, World::open() checks
   std::vector<GridLine> grid;
   size_t grid_bytes = 0;
 };

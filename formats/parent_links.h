@@ -1,6 +1,6 @@
-// Parent links of one level as one bit per node: set where a node is the first child of a new parent. Siblings are
-// consecutive and parents are in the order of their first children, so the parent's number is the rank of the bit.
-// Jacobson. Space-efficient Static Trees and Graphs. 1989. 1.5 bits a node in memory.
+// Links to parents that are in the order of their first children, as one bit a child: set where a child is the first of a new parent. So
+// the parent's number is the rank of the bit. Used from tiles to the tiles of their nodes' parents, and from nodes to families (siblings).
+// Jacobson. Space-efficient Static Trees and Graphs. 1989. 1.5 bits a child in memory.
 #pragma once
 #include <cstdint>
 #include <utility>
@@ -28,6 +28,13 @@ class ParentLinks {
   std::vector<uint64_t> words_;
   std::vector<uint32_t> ranks_;  // set bits before word w; one more entry for all of them
   uint32_t nodes_ = 0;
+};
+
+// The parents of one level's nodes. The parents of a tile's nodes lie in one tile.
+struct LevelLinks {
+  ParentLinks tiles;            // from the level's tiles to those of the level above
+  ParentLinks families;         // from its nodes to families, which are as many as the nodes of the level above
+  std::vector<uint8_t> places;  // by family: index of the parent in its tile; ascending within a tile of the level
 };
 
 }  // namespace ff::formats

@@ -23,6 +23,8 @@ struct World::State {
   std::vector<std::vector<uint64_t>> checksums;
   // By level: the tile of node 256 k; a tile has at most 256 nodes, so tileOf() has few tiles to look at.
   std::vector<std::vector<uint32_t>> tile_of_every_256th;
+  // By level, then by node: number of the family (formats/parent_links.h) of its children; empty at level 0.
+  std::vector<std::vector<uint32_t>> family_of_children;
   // Geometry by level-0 tile; empty without geometry.
   std::vector<ShardEntry> geometry;
 };
@@ -62,8 +64,7 @@ Result<void> takeEntries(std::vector<ShardEntry> entries, const Manifest& m, con
     const uint32_t first = tiles[level].empty() ? 0 : tiles[level].back().first_node + tiles[level].back().nodes;
     if (t.first_node != first || t.nodes < 1 || t.nodes > kTileNodes || t.nodes > m.levels[level].nodes - first)
       return bad("nodes do not follow those of the tile before");
-    if (level < m.parents.size() && !m.parents[level].startsParent(first))
-      return bad("siblings lie in two tiles");
+    if (level < m.links.size() && !m.links[level].families.startsParent(first)) return bad("siblings lie in two tiles");
     tiles[level].push_back(t);
     checksums[level].push_back(e.checksum);
   }
@@ -85,6 +86,27 @@ Result<void> checkTotals(const Manifest& m, const std::vector<std::vector<TileIn
                    "shards do not hold what the manifest promises", kRemedy};
   }
   return {};
+}
+
+// By node of level + 1: the family of its children. Errors: places that are not each node's, once, in the order of FORMAT.md section 2.6.
+Result<std::vector<uint32_t>> familiesByParent(const LevelLinks& links, std::span<const TileInfo> tiles,
+                                               std::span<const TileInfo> above, const std::string& path) {
+  constexpr uint32_t kNone = 0xffffffffu;
+  std::vector<uint32_t> family_of(links.places.size(), kNone);
+  for (const TileInfo& tile : tiles) {
+    const TileInfo& parents = above[links.tiles.parent(tile.id.tile)];
+    const uint32_t first = links.families.parent(tile.first_node), last = links.families.parent(tile.first_node + tile.nodes - 1);
+    for (uint32_t family = first; family <= last; ++family) {
+      const uint32_t place = links.places[family];
+      if (place >= parents.nodes || (family > first && place <= links.places[family - 1]) ||
+          family_of[parents.first_node + place] != kNone)
+        return Error{ErrorCode::kInvalidFile, path,
+                     "parents of tile " + std::to_string(tile.id.level) + ":" + std::to_string(tile.id.tile),
+                     "are not nodes of the tile above, each once and ascending", kRemedy};
+      family_of[parents.first_node + place] = family;
+    }
+  }
+  return family_of;
 }
 
 std::vector<uint32_t> tileDirectory(std::span<const TileInfo> tiles, uint32_t nodes) {
@@ -137,6 +159,12 @@ Result<World> World::open(const std::string& path) try {
   if (auto ok = checkTotals(m, s.tiles, path); !ok) return ok.error();
   if (!s.geometry.empty() && s.geometry.size() != s.tiles[0].size())
     return Error{ErrorCode::kInvalidFile, path, "", "geometry does not cover every tile", kRemedy};
+  s.family_of_children.resize(m.levels.size());
+  for (size_t l = 0; l < m.links.size(); ++l) {
+    auto families = familiesByParent(m.links[l], s.tiles[l], s.tiles[l + 1], path);
+    if (!families) return families.error();
+    s.family_of_children[l + 1] = std::move(*families);
+  }
   for (size_t l = 0; l < m.levels.size(); ++l)
     s.tile_of_every_256th.push_back(tileDirectory(s.tiles[l], m.levels[l].nodes));
   return World(std::move(state));
@@ -163,11 +191,23 @@ uint32_t World::tileOf(uint32_t level, uint32_t node) const {
 }
 
 uint32_t World::parent(uint32_t level, uint32_t node) const {
-  return level < state_->manifest.parents.size() ? state_->manifest.parents[level].parent(node) : kNoParent;
+  if (level >= state_->manifest.links.size()) return kNoParent;
+  return state_->tiles[level + 1][parentTile({level, tileOf(level, node)})].first_node + placeOfParent(level, node);
 }
 
 std::pair<uint32_t, uint32_t> World::children(uint32_t level, uint32_t node) const {
-  return state_->manifest.parents[level - 1].children(node);
+  return state_->manifest.links[level - 1].families.children(state_->family_of_children[level][node]);
+}
+
+uint32_t World::parentTile(TileId id) const { return state_->manifest.links[id.level].tiles.parent(id.tile); }
+
+std::pair<uint32_t, uint32_t> World::childTiles(TileId id) const {
+  return state_->manifest.links[id.level - 1].tiles.children(id.tile);
+}
+
+uint32_t World::placeOfParent(uint32_t level, uint32_t node) const {
+  const LevelLinks& links = state_->manifest.links[level];
+  return links.places[links.families.parent(node)];
 }
 
 Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, Strip& out) const {
@@ -178,13 +218,9 @@ Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, St
   const TileInfo& info = s.tiles[id.level][id.tile];
   auto ok = decodeStripBytes(info, s.checksums[id.level][id.tile], s.tiles[id.level], stored, out);
   if (!ok) return inFile(ok.error(), s.shard_paths[info.shard]);
-  if (id.level < s.manifest.parents.size()) {
-    const ParentLinks& links = s.manifest.parents[id.level];
-    uint32_t parent = links.parent(info.first_node);
-    for (uint32_t i = 0; i < info.nodes; ++i) {
-      if (i > 0) parent += links.startsParent(info.first_node + i) ? 1 : 0;
-      out.nodes[i].parent = parent;
-    }
+  if (id.level < s.manifest.links.size()) {
+    const uint32_t first = s.tiles[id.level + 1][parentTile(id)].first_node;
+    for (uint32_t i = 0; i < info.nodes; ++i) out.nodes[i].parent = first + placeOfParent(id.level, info.first_node + i);
   }
   return {};
 }

@@ -38,6 +38,12 @@ class World {
   uint32_t parent(uint32_t level, uint32_t node) const;   // kNoParent at the top level; constant time
   // Numbers of the first and last + 1 nodes of level - 1 under `node`; level >= 1.
   std::pair<uint32_t, uint32_t> children(uint32_t level, uint32_t node) const;
+  // Tiles form a tree: the tile of level + 1 that holds the parents of all of a tile's nodes. Not for the top level.
+  uint32_t parentTile(TileId id) const;
+  // Numbers of the first and last + 1 tiles of level - 1 whose parent tile is `id`; level >= 1.
+  std::pair<uint32_t, uint32_t> childTiles(TileId id) const;
+  // Index of the node's parent within its tile's parent tile. Not for the top level; constant time.
+  uint32_t placeOfParent(uint32_t level, uint32_t node) const;
 
   // Decodes stored bytes (TileInfo::stored_bytes of them, read from TileInfo::offset of the shard by any means) into
   // `out`, whose vectors are reused. Checks the checksum (mixed with id and offset) and every rule of FORMAT.md.

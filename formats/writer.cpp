@@ -19,7 +19,7 @@ struct WorldWriter::State {
   ShardWriter* open_shard[2] = {};                   // by kind; null: none is open
   uint32_t shards_of_kind[2] = {};
   std::vector<LevelInfo> levels;                     // sized by the first strip, which is of the coarsest level
-  std::vector<std::vector<bool>> tile_starts;        // by level: is this node the first of a tile?
+  std::vector<std::vector<uint32_t>> tile_starts;    // by level: first node of each tile, then the number of nodes
   uint32_t level = 0;                                // of the last strip
   uint32_t geometry_tiles = 0;
   bool failed = false;                               // after an error nothing more is accepted
@@ -40,20 +40,33 @@ std::string shardPath(const std::string& stem, uint32_t kind, uint32_t number) {
   return stem + (kind == kKindGeometry ? ".geometry." : ".") + digits + ".ffs";
 }
 
-// The bits of ParentLinks; refuses numbers that are not what layout.h promises of them.
-Result<std::vector<uint64_t>> parentBits(std::span<const uint32_t> parents, uint32_t nodes, uint32_t parent_nodes,
-                                         const std::vector<bool>& tile_starts) {
-  if (parents.size() != nodes) return misuse("parent links are not one per node");
-  std::vector<uint64_t> words((parents.size() + 63) / 64);
-  for (size_t i = 0; i < parents.size(); ++i) {
-    const bool starts = i == 0 || parents[i] != parents[i - 1];
-    if (parents[i] != (i == 0 ? 0 : parents[i - 1] + (starts ? 1 : 0)))
-      return misuse("parents are not in the order of their first children");
-    if (tile_starts[i] && !starts) return misuse("siblings lie in two tiles");
-    words[i / 64] |= uint64_t{starts} << (i % 64);
+// What layout.h promises of parents as bits and places (FORMAT.md section 2.6); refuses what it does not. starts, starts_above: first node of
+// each tile of the level and of the one above, then the number of nodes.
+Result<void> writeLinks(std::span<const uint32_t> parents, std::span<const uint32_t> starts, std::span<const uint32_t> starts_above,
+                        ByteWriter& out) {
+  if (parents.size() != starts.back()) return misuse("parent links are not one per node");
+  std::vector<uint64_t> tile_words((starts.size() + 62) / 64), family_words((parents.size() + 63) / 64);
+  std::vector<uint8_t> places, taken(starts_above.back());
+  size_t above = 0;  // tile
+  for (size_t t = 0; t + 1 < starts.size(); ++t) {
+    const bool next = t > 0 && parents[starts[t]] >= starts_above[above + 1];
+    above += next;
+    if (t == 0 || next) tile_words[t / 64] |= uint64_t{1} << (t % 64);
+    for (uint32_t i = starts[t]; i < starts[t + 1]; ++i) {
+      if (parents[i] < starts_above[above] || above + 1 == starts_above.size() || parents[i] >= starts_above[above + 1])
+        return misuse("parents of a tile's nodes do not lie in one tile, or tiles not in the order of these");
+      if (i > starts[t] && parents[i] == parents[i - 1]) continue;
+      if (i > starts[t] && parents[i] < parents[i - 1]) return misuse("parents do not ascend within a tile");
+      if (taken[parents[i]]++ != 0) return misuse("siblings are not consecutive or lie in two tiles");
+      family_words[i / 64] |= uint64_t{1} << (i % 64);
+      places.push_back(static_cast<uint8_t>(parents[i] - starts_above[above]));
+    }
   }
-  if (parents.back() + 1 != parent_nodes) return misuse("parent links do not name every node of the level above");
-  return words;
+  if (places.size() != taken.size()) return misuse("parent links do not name every node of the level above");
+  for (const uint64_t w : tile_words) out.u64(w);
+  for (const uint64_t w : family_words) out.u64(w);
+  for (const uint8_t place : places) out.u8(place);
+  return {};
 }
 
 Result<std::vector<std::byte>> compress(std::span<const std::byte> in) {
@@ -150,7 +163,7 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
     if (info.id.level >= kMaxLevels) return misuse("level is too high");
     s.level = info.id.level;
     s.levels.resize(s.level + 1);
-    s.tile_starts.resize(s.level + 1);
+    s.tile_starts.assign(s.level + 1, {0});
   }
   if (info.id.level + 1 == s.level && s.levels[s.level].tiles > 0) s.level = info.id.level;
   if (info.id.level != s.level || info.id.tile != s.levels[s.level].tiles)
@@ -158,10 +171,9 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
                   " comes out of order");
   LevelInfo& level = s.levels[s.level];
   if (info.first_node != level.nodes) return misuse("first_node is not the number of nodes before the tile");
-  s.tile_starts[s.level].resize(level.nodes + info.nodes);
-  s.tile_starts[s.level][level.nodes] = true;
   ++level.tiles;
   level.nodes += info.nodes;
+  s.tile_starts[s.level].push_back(level.nodes);
   level.entries += info.entries;
   level.stored_bytes += info.stored_bytes + kIndexRecordBytes;
   if (auto ok = s.addTo(kKindRows, info, std::move(strip.bytes)); !ok) return ok;
@@ -225,9 +237,7 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
   }
   addSection(kSectionLevels, level_bytes);
   for (size_t l = 0; l < parents.size(); ++l) {
-    auto bits = parentBits(parents[l], s.levels[l].nodes, s.levels[l + 1].nodes, s.tile_starts[l]);
-    if (!bits) return bits.error();
-    for (uint64_t w : *bits) parent_bytes.u64(w);
+    if (auto ok = writeLinks(parents[l], s.tile_starts[l], s.tile_starts[l + 1], parent_bytes); !ok) return ok;
   }
   for (uint32_t kind : {kKindRows, kKindGeometry})
     if (auto ok = s.closeShard(kind); !ok) return ok;

@@ -36,7 +36,8 @@ class WorldWriter {
   // Level-0 tiles, ascending; every tile once or none at all. Positions are quantised to 16 bits over the tile's
   // bounds and triangles are kept in order.
   Result<void> addGeometry(const TileGeometry& geometry);
-  // parents[l][i]: number of the parent at level l + 1 of node i of level l; one vector for each level but the last.
+  // parents[l][i]: number of the parent at level l + 1 of node i of level l; one vector for each level but the last. They ascend within
+  // a tile, where siblings are consecutive, and lie in one tile, whose number does not fall from one tile to the next.
   // cell_m[l]: grid cell edge. spatial_grid: a NanoVDB IntGrid (cell -> number of the level-0 tile that holds the
   // cell's first patch, + 1; 0: none), or empty.
   Result<void> finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents,

@@ -114,17 +114,15 @@ void FacetScenes::work() {
   }
 }
 
-// Descendants of consecutive nodes are consecutive.
+// Descendants of consecutive tiles are consecutive.
 void FacetScenes::findDescendants() {
   descendants_.resize(numbers_.tiles());
   for (const formats::TileInfo& info : world_.tiles(0)) descendants_[info.id.tile] = {info.id.tile, info.id.tile};
   for (uint32_t level = 1; level < world_.levels().size() && !stop_; ++level)
     for (const formats::TileInfo& info : world_.tiles(level)) {
-      const uint32_t first = world_.children(level, info.first_node).first;
-      const uint32_t last = world_.children(level, info.first_node + info.nodes - 1).second - 1;
-      descendants_[numbers_.of(info.id)] = {
-          descendants_[numbers_.of({level - 1, world_.tileOf(level - 1, first)})].first,
-          descendants_[numbers_.of({level - 1, world_.tileOf(level - 1, last)})].second};
+      const auto [first, end] = world_.childTiles(info.id);
+      descendants_[numbers_.of(info.id)] = {descendants_[numbers_.of({level - 1, first})].first,
+                                            descendants_[numbers_.of({level - 1, end - 1})].second};
     }
 }
 

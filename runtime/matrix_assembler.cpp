@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <string>
 
-#include "stream/wanted_tiles.h"
 
 namespace ff::runtime {
 namespace {
@@ -47,9 +46,8 @@ uint64_t roomOf(const ResidentStrip& strip) {
 uint32_t ambientOf(FarLight far_light) { return far_light == FarLight::kConstant ? 0 : kNoSlot; }
 
 // Resolves one run (resident_strip.h) into `out`; returns the number of entries. Columns that resolve to one slot are
-// neighbours, because descendants of any node are consecutive: so merging looks one back. Without a branch on that:
-// most neighbours far away share a slot, but by no rule that a processor could learn. Over runs nothing is merged:
-// partner tiles share an ancestor so seldom that it saves 1 entry in 6000 (voxel town).
+// neighbours, because nodes of a tile with one ancestor are consecutive: so merging looks one back. Without a branch on that:
+// most neighbours far away share a slot, but by no rule that a processor could learn. Over runs nothing is merged.
 uint32_t resolveRun(const uint16_t* words, uint32_t n, const uint16_t* page, uint32_t* out) {
   uint32_t last = kNoSlot, sum = 0, entries = 0;
   for (uint32_t k = 0; k < n; ++k) {
@@ -111,10 +109,8 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
     slots += strip->nodes.size();
     tops += strip->id.level == top;
     if (!pyramid || strip->id.level == top) continue;
-    const auto [from, to] = stream::parentTiles(world_, strip->id);
-    for (uint32_t tile = from; tile <= to; ++tile)
-      cut = cut && std::ranges::binary_search(active, formats::TileId{strip->id.level + 1, tile}, {},
-                                              [](const StripPtr& s) { return s->id; });
+    cut = cut && std::ranges::binary_search(active, formats::TileId{strip->id.level + 1, world_.parentTile(strip->id)}, {},
+                                            [](const StripPtr& s) { return s->id; });
   }
   if (slots > kMaxSlots)
     return Error{ErrorCode::kUsage, world_.path(), "",
@@ -321,17 +317,12 @@ void MatrixAssembler::renumber() {
 // Parents become refined. Entered tiles are linked from the top down.
 void MatrixAssembler::link(const Tile& tile) {
   if (far_light_ == FarLight::kConstant || tile.range.id.level + 1 == world_.levels().size()) return;
-  const uint32_t level = tile.range.id.level, above = level + 1;
-  uint32_t parent = formats::kNoParent, slot = kNoSlot;
+  const uint32_t level = tile.range.id.level;
+  const uint32_t first_parent = pages_.activeSlot({level + 1, world_.parentTile(tile.range.id)});
   for (uint32_t i = 0; i < tile.range.nodes; ++i) {
-    const uint32_t its_parent = world_.parent(level, tile.range.first_node + i);
-    if (its_parent != parent) {
-      parent = its_parent;
-      const uint32_t parents = world_.tileOf(above, parent);
-      slot = pages_.activeSlot({above, parents}) + (parent - world_.tiles(above)[parents].first_node);
-      matrix_.leaf[slot] = 0;
-      matrix_.row_entries[slot] = 0;
-    }
+    const uint32_t slot = first_parent + world_.placeOfParent(level, tile.range.first_node + i);
+    matrix_.leaf[slot] = 0;
+    matrix_.row_entries[slot] = 0;
     matrix_.parent_slot[tile.range.first_slot + i] = slot;
   }
 }

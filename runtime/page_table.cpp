@@ -1,9 +1,11 @@
 #include "runtime/page_table.h"
 
+#include <algorithm>
+
 namespace ff::runtime {
 namespace {
 
-constexpr size_t kPagesAtFirst = 2048;  // 1 MiB
+constexpr size_t kPagesAtFirst = 8192;  // 4 MiB; or those of the whole world
 
 }  // namespace
 
@@ -12,10 +14,13 @@ PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(wor
     slot_of_.emplace_back(level.tiles, kNoSlot);
     page_of_.emplace_back(level.tiles, kNoPage);
   }
-  pages_.reserve(kPagesAtFirst);
-  infos_.reserve(kPagesAtFirst);
-  free_.reserve(kPagesAtFirst);
-  changed_.reserve(kPagesAtFirst);
+  size_t pages = 0;
+  for (const formats::LevelInfo& level : world.levels()) pages += level.tiles;
+  pages = std::min(pages, kPagesAtFirst);
+  pages_.reserve(pages);
+  infos_.reserve(pages);
+  free_.reserve(pages);
+  changed_.reserve(pages);
   toggled_.reserve(kPagesAtFirst);
 }
 
@@ -45,16 +50,14 @@ void PageTable::release(uint32_t page) {
 
 void PageTable::setActive(formats::TileId id, uint32_t first_slot) {
   slot_of_[id.level][id.tile] = first_slot;
-  const formats::TileInfo& info = world_.tiles(id.level)[id.tile];
   Toggled toggled{id.level, {}};
-  uint32_t first = info.first_node, end = info.first_node + info.nodes;
+  uint32_t first = id.tile, end = id.tile + 1;
   for (uint32_t level = id.level;; --level) {
-    toggled.nodes[level] = {first, end};
+    toggled.tiles[level] = {first, end};
     if (level == 0) break;
-    // Children of consecutive nodes are consecutive.
-    const uint32_t last = end - 1;
-    end = world_.children(level, last).second;
-    first = world_.children(level, first).first;
+    // Children of consecutive tiles are consecutive.
+    end = world_.childTiles({level, end - 1}).second;
+    first = world_.childTiles({level, first}).first;
   }
   toggled_.push_back(toggled);
 }
@@ -66,11 +69,10 @@ std::span<const uint32_t> PageTable::refresh() {
   for (uint32_t p = 0; p < pages_.size(); ++p) {
     Info& info = infos_[p];
     if (info.holds == 0) continue;
-    const formats::TileInfo& tile = world_.tiles(info.id.level)[info.id.tile];
     for (const Toggled& t : toggled_) {
       if (info.stale) break;
-      const auto [first, end] = t.nodes[info.id.level];
-      info.stale = info.id.level <= t.level && tile.first_node < end && first < tile.first_node + tile.nodes;
+      const auto [first, end] = t.tiles[info.id.level];
+      info.stale = info.id.level <= t.level && first <= info.id.tile && info.id.tile < end;
     }
     if (!info.stale) continue;
     fill(info.id, pages_[p]);
@@ -92,27 +94,23 @@ void PageTable::fill(formats::TileId id, Page& page) {
     page.fill(static_cast<uint16_t>(outside_));
     return;
   }
-  uint32_t parent = formats::kNoParent, slot = 0;  // of the node before: siblings are consecutive
+  // The ancestors of all of the tile's nodes lie in one tile a level: the lowest active one has their slots.
+  std::array<formats::TileId, formats::kMaxLevels> up;
+  uint32_t steps = 0, slots = kNoSlot;
+  for (formats::TileId at = id; slots == kNoSlot && at.level + 1 < world_.levels().size(); slots = activeSlot(at))
+    up[steps++] = at = {at.level + 1, world_.parentTile(at)};
+  if (slots == kNoSlot) {
+    incomplete_ = true;
+    page.fill(0);
+    return;
+  }
   for (uint32_t i = 0; i < info.nodes; ++i) {
-    const uint32_t its_parent = world_.parent(id.level, info.first_node + i);
-    if (its_parent != parent || i == 0) {
-      parent = its_parent;
-      slot = kNoSlot;
-      uint32_t level = id.level + 1, node = parent;
-      for (; level < world_.levels().size() && slot == kNoSlot; ++level) {
-        const uint32_t tile = world_.tileOf(level, node);
-        const uint32_t first = activeSlot({level, tile});
-        if (first != kNoSlot)
-          slot = first + (node - world_.tiles(level)[tile].first_node);
-        else
-          node = world_.parent(level, node);
-      }
-      if (slot == kNoSlot) {
-        incomplete_ = true;
-        slot = 0;
-      }
+    uint32_t level = id.level, node = info.first_node + i, place = 0;
+    for (uint32_t step = 0; step < steps; ++step, ++level) {
+      place = world_.placeOfParent(level, node);
+      node = world_.tiles(level + 1)[up[step].tile].first_node + place;
     }
-    page[i] = static_cast<uint16_t>(slot);
+    page[i] = static_cast<uint16_t>(slots + place);
   }
 }
 

@@ -46,9 +46,9 @@ class PageTable {
     uint32_t refreshed = 0;  // round
     bool stale = false;
   };
-  struct Toggled {  // node ranges, by level, that a tile's toggling may have changed
+  struct Toggled {  // tiles, by level, whose slots a tile's toggling may have changed: its descendants
     uint32_t level;
-    std::array<std::pair<uint32_t, uint32_t>, formats::kMaxLevels> nodes;
+    std::array<std::pair<uint32_t, uint32_t>, formats::kMaxLevels> tiles;  // first, last + 1
   };
   void fill(formats::TileId id, Page& page);
 

@@ -42,7 +42,7 @@ class SlotMap {
       if (first != kNoSlot) return first + node - world_.tiles(id.level)[id.tile].first_node;
       if (id.level + 1 == world_.levels().size()) return kNoSlot;
       node = world_.parent(id.level, node);
-      id = {id.level + 1, world_.tileOf(id.level + 1, node)};
+      id = {id.level + 1, world_.parentTile(id)};
     }
   }
 

@@ -153,13 +153,8 @@ class StreamerImpl final : public Streamer {
       const TileId id = previous_[i];
       const StripPtr& strip = cache_.find(id);
       if (!strip) continue;
-      bool ancestors = true;
-      if (id.level + 1 < world_.levels().size()) {
-        const auto [from, to] = parentTiles(world_, id);
-        for (uint32_t p = from; p <= to; ++p)
-          ancestors = ancestors && last_active_[numbers_.of({id.level + 1, p})] == round_;
-      }
-      if (!ancestors) continue;
+      const bool top = id.level + 1 == world_.levels().size();
+      if (!top && last_active_[numbers_.of({id.level + 1, world_.parentTile(id)})] != round_) continue;
       last_active_[numbers_.of(id)] = round_;
       next_active_.push_back(strip);
     }

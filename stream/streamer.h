@@ -23,7 +23,8 @@ struct StreamSettings {
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint32_t max_level0_nodes = 4096;             // likewise, for active patches
-  uint32_t max_nodes = 65536;                   // of all wanted tiles together: slots are 16 bits
+  uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
+                                                // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
   int queue_depth = 8;
 };
@@ -43,8 +44,8 @@ class Streamer {
 
   // observer: m; velocity: m/s (orders the queue by the time of need). Returns true if the active set has changed.
   virtual bool update(Vec3 observer, Vec3 velocity) = 0;
-  // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and the tiles of all
-  // its nodes' parents are active: so the ancestors of an active node are active too. Valid until the next update();
+  // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
+  // is active: so the ancestors of an active node are active too. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
   // after the last has let go.
   virtual std::span<const StripPtr> active() const = 0;

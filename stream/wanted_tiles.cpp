@@ -20,13 +20,6 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
          info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }
 
-std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, TileId id) {
-  // Parents are in the order of their first children, so the first and the last node bound them.
-  const TileInfo& info = world.tiles(id.level)[id.tile];
-  return {world.tileOf(id.level + 1, world.parent(id.level, info.first_node)),
-          world.tileOf(id.level + 1, world.parent(id.level, info.first_node + info.nodes - 1))};
-}
-
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
     : world_(world), settings_(settings) {
   float radius = settings.radius_m;
@@ -79,15 +72,9 @@ void WantedTiles::admit(const TileInfo& info, Vec3 observer) {
 }
 
 void WantedTiles::offerChildren(const TileInfo& parent, Vec3 observer) {
-  const uint32_t above = parent.id.level, level = above - 1;
-  const uint32_t first = world_.children(above, parent.first_node).first;
-  const uint32_t last = world_.children(above, parent.first_node + parent.nodes - 1).second - 1;
-  for (uint32_t t = world_.tileOf(level, first), end = world_.tileOf(level, last) + 1; t < end; ++t) {
-    // A tile with several parent tiles is offered once: by the one that is admitted last.
-    const auto [from, to] = parentTiles(world_, {level, t});
-    bool all = true;
-    for (uint32_t p = from; p <= to; ++p) all = all && last_wanted_[above][p] == walk_;
-    if (!all) continue;
+  const uint32_t level = parent.id.level - 1;
+  const auto [first, end] = world_.childTiles(parent.id);
+  for (uint32_t t = first; t < end; ++t) {
     const bool stays = last_wanted_[level][t] == walk_ - 1;
     const float reach = radius_m_[level] * (stays ? settings_.hysteresis : 1.0f);
     const float key = world_.tiles(level)[t].bounds.distance(observer) / reach;

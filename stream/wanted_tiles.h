@@ -3,7 +3,6 @@
 #pragma once
 #include <cstdint>
 #include <span>
-#include <utility>
 #include <vector>
 
 #include "stream/streamer.h"
@@ -13,11 +12,8 @@ namespace ff::stream {
 // Bytes in memory, at most, of a tile that is not decoded yet.
 uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo& info);
 
-// First and last tile of level + 1 that hold the parents of the tile's nodes. Not for the top level.
-std::pair<uint32_t, uint32_t> parentTiles(const formats::World& world, formats::TileId id);
-
-// The wanted set; walks allocate nothing. The top level is always wanted; another tile when the tiles of all its nodes' parents are and its
-// bounds are within its level's radius of the observer (times hysteresis if the walk before wanted it).
+// The wanted set; walks allocate nothing. The top level is always wanted; another tile when its parent tile is and its bounds
+// are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget
 // that runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level
 // 0.

@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include <map>
+#include <random>
+#include <set>
 
 #include "bake/pool.h"
 #include "bake/pyramid.h"
@@ -133,18 +135,21 @@ TEST(Pyramid, SiblingsAreConsecutiveShareCellAndOrientationAndLieInOneTile) {
   EXPECT_LE(h.nodes.back(), kTopNodes);
   std::vector<uint32_t> patch_of(sky.size());
   for (uint32_t p = 0; p < sky.size(); ++p) patch_of[h.number[p]] = p;
-  for (uint32_t i = 0; i < sky.size(); ++i) {
-    uint32_t node = i;
-    for (uint32_t l = 0; l + 1 < h.levels(); ++l) {
-      const auto& tiles = h.tile_start[l];
-      if (node > 0) {
-        EXPECT_LE(h.parents[l][node] - h.parents[l][node - 1], 1u);
-        if (std::binary_search(tiles.begin(), tiles.end(), node)) {
-          EXPECT_NE(h.parents[l][node], h.parents[l][node - 1]) << "a tile begins among siblings";
-        }
+  for (uint32_t l = 0; l + 1 < h.levels(); ++l) {
+    const auto &tiles = h.tile_start[l], &above = h.tile_start[l + 1];
+    std::vector<uint32_t> families(h.nodes[l + 1]);
+    for (uint32_t t = 0; t + 1 < tiles.size(); ++t) {
+      const uint32_t parents = h.tile_parents[l][t];
+      EXPECT_TRUE(t == 0 || parents == h.tile_parents[l][t - 1] || parents == h.tile_parents[l][t - 1] + 1);
+      for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
+        const uint32_t p = h.parents[l][i];
+        EXPECT_TRUE(above[parents] <= p && p < above[parents + 1]) << "parents of a tile lie in two";
+        if (i > tiles[t] && h.parents[l][i - 1] == p) continue;
+        EXPECT_TRUE(i == tiles[t] || h.parents[l][i - 1] < p) << "parents do not ascend";
+        ++families[p];
       }
-      node = h.parents[l][node];
     }
+    for (const uint32_t n : families) EXPECT_EQ(n, 1u) << "siblings are parted";
   }
   for (uint32_t i = 1; i < sky.size(); ++i) {
     if (h.parents[0][i] != h.parents[0][i - 1]) continue;
@@ -155,6 +160,82 @@ TEST(Pyramid, SiblingsAreConsecutiveShareCellAndOrientationAndLieInOneTile) {
   }
   for (const auto& tiles : h.tile_start)
     for (size_t t = 0; t + 1 < tiles.size(); ++t) EXPECT_LE(tiles[t + 1] - tiles[t], formats::kTileNodes);
+}
+
+// Ground with blocks of many heights, all of them 1-cell patches, `side` cells wide.
+std::vector<Patch> townPatches(int32_t side) {
+  std::vector<Patch> patches;
+  const auto add = [&](Cell cell, uint32_t orientation) {
+    Patch p;
+    p.cell = cell;
+    p.key = hilbertKey(cell);
+    p.orientation = orientation;
+    patches.push_back(p);
+  };
+  for (int32_t x = 0; x < side; ++x)
+    for (int32_t z = 0; z < side; ++z) {
+      const int32_t height = x / 8 % 2 && z / 8 % 2 ? 4 + (x / 8 * 7 + z / 8 * 5) % 13 : 0;
+      add({x, height, z}, 2);
+      for (int32_t y = 0; y < height; ++y) {
+        if (x % 8 == 0) add({x - 1, y, z}, 1);
+        if (x % 8 == 7) add({x + 1, y, z}, 0);
+        if (z % 8 == 0) add({x, y, z - 1}, 5);
+        if (z % 8 == 7) add({x, y, z + 1}, 4);
+      }
+    }
+  return patches;
+}
+
+TEST(Pyramid, ATileIsAtMostSixteenCellsWideWhateverTheWorldAndHoldsAllClassesOfItsPlace) {
+  for (const int32_t side : {96, 400}) {
+    const std::vector<Patch> patches = townPatches(side);
+    const Hierarchy h = makeHierarchy(patches, std::vector<float>(patches.size(), 0.5f));
+    ASSERT_GE(h.levels(), 3u);
+    std::vector<std::array<int32_t, 3>> lo(patches.size()), hi(patches.size());  // of each node
+    for (size_t p = 0; p < patches.size(); ++p) lo[h.number[p]] = hi[h.number[p]] = patches[p].cell;
+    for (uint32_t l = 0; l < h.levels(); ++l) {
+      std::map<std::array<int32_t, 3>, std::set<uint32_t>> tiles_of_family_cell;
+      for (uint32_t t = 0; t + 1 < h.tile_start[l].size(); ++t) {
+        std::array<int32_t, 3> low{1 << 20, 1 << 20, 1 << 20}, high{-(1 << 20), -(1 << 20), -(1 << 20)};
+        for (uint32_t i = h.tile_start[l][t]; i < h.tile_start[l][t + 1]; ++i) {
+          std::array<int32_t, 3> family{};
+          for (size_t a = 0; a < 3; ++a) {
+            low[a] = std::min(low[a], lo[i][a] >> l);
+            high[a] = std::max(high[a], hi[i][a] >> l);
+            family[a] = lo[i][a] >> (l + 1);
+          }
+          tiles_of_family_cell[family].insert(t);
+        }
+        for (size_t a = 0; a < 3; ++a) EXPECT_LT(high[a] - low[a], 16) << side << ", level " << l << ", tile " << t;
+      }
+      if (l + 1 == h.levels()) break;
+      for (const auto& [cell, tiles] : tiles_of_family_cell) EXPECT_EQ(tiles.size(), 1u);
+      const auto tiles = static_cast<double>(h.tile_start[l].size() - 1);
+      EXPECT_GT(h.nodes[l] / tiles, 0.4 * formats::kTileNodes) << "tiles are small";
+      std::vector<std::array<int32_t, 3>> low(h.nodes[l + 1], {1 << 20, 1 << 20, 1 << 20}), high(h.nodes[l + 1], {-(1 << 20), -(1 << 20), -(1 << 20)});
+      for (uint32_t i = 0; i < h.nodes[l]; ++i)
+        for (size_t a = 0; a < 3; ++a) {
+          low[h.parents[l][i]][a] = std::min(low[h.parents[l][i]][a], lo[i][a]);
+          high[h.parents[l][i]][a] = std::max(high[h.parents[l][i]][a], hi[i][a]);
+        }
+      lo = std::move(low);
+      hi = std::move(high);
+    }
+  }
+}
+
+TEST(Pyramid, TheOrderIsAFunctionOfPlaceAndClassAlone) {
+  std::vector<Patch> patches = townPatches(96);
+  const std::vector<float> sky(patches.size(), 0.5f);
+  const auto ordered = [&] {
+    const Hierarchy h = makeHierarchy(patches, sky);
+    std::vector<std::pair<uint64_t, uint32_t>> order(patches.size());
+    for (size_t p = 0; p < patches.size(); ++p) order[h.number[p]] = {patches[p].key, patches[p].orientation};
+    return std::pair{order, h.tile_start};
+  };
+  const auto before = ordered();
+  std::shuffle(patches.begin(), patches.end(), std::mt19937(1));
+  EXPECT_EQ(ordered(), before);
 }
 
 TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {

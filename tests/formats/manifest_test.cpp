@@ -6,6 +6,7 @@
 
 #include "formats/checksum.h"
 #include "formats/manifest.h"
+#include "formats/reader.h"
 #include "tests/formats/furnace_world.h"
 
 namespace ff::formats {
@@ -172,12 +173,19 @@ TEST(ManifestRules, LevelsAndParentsAgree) {
   }
   {
     OpenManifest m;
-    m.part(kSectionParents).bytes.back() |= std::byte{0x80};
+    m.part(kSectionParents).bytes[7] |= std::byte{0x80};  // tiles
     expectRefused("past the last", m.seal());
   }
   {
     OpenManifest m;
-    m.part(kSectionParents).bytes.resize(48);
+    m.part(kSectionParents).bytes[47] |= std::byte{0x80};  // nodes
+    expectRefused("past the last", m.seal());
+  }
+  {
+    OpenManifest m;
+    m.part(kSectionParents).bytes.pop_back();
+    expectRefused("cut off", m.seal());
+    m.part(kSectionParents).bytes.resize(200);
     expectRefused("wrong length", m.seal());
   }
   {
@@ -187,6 +195,27 @@ TEST(ManifestRules, LevelsAndParentsAgree) {
     m.part(kSectionLevels).bytes.resize(17 * kLevelRecordBytes);
     expectRefused("17 levels", m.seal());
   }
+}
+
+TEST(ManifestRules, EveryNodeIsTheParentOfOneFamilyAndParentsAscendWithinATile) {
+  const auto opens = [](const std::function<void(std::span<std::byte>)>& damage) {
+    TemporaryFolder folder;
+    EXPECT_TRUE(writeWorld(makeFurnaceWorld(300), folder.file("w.ffm"), 1 << 28));
+    OpenManifest m;
+    damage(std::span(m.part(kSectionParents).bytes).subspan(48));  // places
+    std::erase_if(m.parts, [](const OpenManifest::Part& p) { return p.record.kind == kSectionGrid; });
+    writeFile(folder.file("w.ffm"), m.seal());
+    const auto world = World::open(folder.file("w.ffm"));
+    if (!world) {
+      EXPECT_NE(world.error().line().find("each once and ascending"), std::string::npos) << world.error().line();
+    }
+    return world.has_value();
+  };
+  EXPECT_TRUE(opens([](auto) {}));
+  EXPECT_FALSE(opens([](auto places) { places[149] = std::byte{150}; }));            // past the tile above
+  EXPECT_FALSE(opens([](auto places) { places[149] = std::byte{0}; }));              // descends
+  EXPECT_FALSE(opens([](auto places) { std::swap(places[3], places[4]); }));
+  EXPECT_FALSE(opens([](auto places) { places[128] = places[127]; }));              // in another tile: twice
 }
 
 TEST(ManifestRules, WorldInformationIsComplete) {

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <iterator>
 #include <map>
+#include <numeric>
 #include <random>
 
 #include "formats/writer.h"
@@ -129,18 +130,36 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
       w.info.bounds.add(bounds);
     }
     if (level + 1 == settings.levels) break;
-    // Families of 1..4 siblings that do not straddle tiles, then tiles of the level above.
-    std::vector<uint32_t> parents;
-    uint32_t parent = 0;
-    for (uint32_t n : tile_nodes)
-      for (uint32_t i = 0; i < n; ++parent)
-        for (uint32_t family = 1 + below(random, 4); family > 0 && i < n; --family, ++i) parents.push_back(parent);
+    // Families of 1..4 siblings that do not straddle tiles; then tiles of the level above, each of some tiles' parents, shuffled among these.
+    std::vector<uint32_t> families, parents, above;
+    for (uint32_t t = 0; t < tile_nodes.size();) {
+      std::vector<uint32_t> of_tile;  // families of each tile
+      uint32_t all = 0;
+      for (const uint32_t first = t, tiles = 1 + below(random, 3); t < tile_nodes.size() && t < first + tiles; ++t) {
+        const size_t before = families.size();
+        for (uint32_t i = 0; i < tile_nodes[t]; i += families.back()) families.push_back(std::min(tile_nodes[t] - i, 1 + below(random, 4)));
+        const auto own = static_cast<uint32_t>(families.size() - before);
+        if (all + own > kTileNodes) {
+          families.resize(before);
+          break;
+        }
+        of_tile.push_back(own);
+        all += own;
+      }
+      std::vector<uint32_t> owner;  // of each parent: one of the tiles
+      for (uint32_t k = 0; k < of_tile.size(); ++k) owner.insert(owner.end(), of_tile[k], k);
+      std::shuffle(owner.begin(), owner.end(), random);
+      const uint32_t first = std::accumulate(above.begin(), above.end(), 0u);
+      size_t family = families.size() - all;
+      for (uint32_t k = 0; k < of_tile.size(); ++k)
+        for (uint32_t p = 0; p < all; ++p)
+          if (owner[p] == k) parents.insert(parents.end(), families[family++], first + p);
+      above.push_back(all);
+    }
     for (Strip& strip : w.strips[level])
       for (uint32_t i = 0; i < strip.nodes.size(); ++i) strip.nodes[i].parent = parents[strip.first_node + i];
     w.parents.push_back(std::move(parents));
-    tile_nodes.clear();
-    for (uint32_t left = parent; left > 0; left -= tile_nodes.back())
-      tile_nodes.push_back(std::min(left, 1 + below(random, settings.max_tile_nodes)));
+    tile_nodes = std::move(above);
   }
   w.info.cell_m = 1;
   w.info.grid_origin = w.info.bounds.lo;

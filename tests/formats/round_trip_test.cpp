@@ -145,6 +145,18 @@ TEST(World, LinksNodesTilesParentsAndChildren) {
       EXPECT_EQ(world->parent(level, 0), kNoParent);
       continue;
     }
+    bool in_order = true;  // else nothing is shown of families that are not in the order of their parents
+    for (const Strip& strip : w.strips[level]) {
+      const uint32_t above = world->parentTile(strip.id);
+      const auto [first, end] = world->childTiles({level + 1, above});
+      ASSERT_TRUE(first <= strip.id.tile && strip.id.tile < end);
+      for (uint32_t i = strip.first_node; i < strip.first_node + strip.nodes.size(); ++i) {
+        ASSERT_EQ(world->tileOf(level + 1, w.parents[level][i]), above);
+        ASSERT_EQ(world->placeOfParent(level, i), w.parents[level][i] - w.strips[level + 1][above].first_node);
+        in_order = in_order && (i == 0 || w.parents[level][i] >= w.parents[level][i - 1]);
+      }
+    }
+    EXPECT_FALSE(in_order) << level;
     std::vector<std::pair<uint32_t, uint32_t>> children(world->levels()[level + 1].nodes, {~0u, 0});
     for (uint32_t i = 0; i < w.parents[level].size(); ++i) {
       const uint32_t p = w.parents[level][i];

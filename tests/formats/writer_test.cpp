@@ -107,6 +107,22 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.bounds = Box{}; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.cell_m = NAN; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.geometry.push_back({0, {}, {}}); }));  // of one tile of two
+  EXPECT_FALSE(finishes([](RandomWorld& w) { std::swap_ranges(w.parents[0].begin(), w.parents[0].begin() + 2, w.parents[0].begin() + 2); }));
+  // Parents of one tile in two: the level above in tiles of 100 and 50 nodes.
+  EXPECT_FALSE(finishes([](RandomWorld& w) {
+    Strip& whole = w.strips[1][0];
+    Strip rest = whole;
+    rest.id.tile = 1;
+    rest.first_node = 100;
+    rest.nodes.erase(rest.nodes.begin(), rest.nodes.begin() + 100);
+    whole.nodes.resize(100);
+    for (Strip* s : {&whole, &rest}) {
+      s->blocks.clear(), s->rows.clear(), s->columns.clear(), s->counts.clear();
+      for (Node& n : s->nodes) n.sky = n.quanta, n.absorbed = 0;
+    }
+    w.strips[1].push_back(rest);
+    w.bounds[1].push_back(w.bounds[1][0]);
+  }));
   // Siblings in two tiles: node 255 and 256 get one parent.
   EXPECT_FALSE(finishes([](RandomWorld& w) {
     for (uint32_t i = 0; i < 300; ++i) w.parents[0][i] = (i + 1) / 2 < 150 ? (i + 1) / 2 : 149;

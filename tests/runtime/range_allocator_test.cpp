@@ -55,5 +55,26 @@ TEST(RangeAllocator, GivesRangesThatNeverOverlapAndComeBackWhole) {
   EXPECT_EQ(ranges.allocate(kSize, 256), 0u);
 }
 
+TEST(RangeAllocator, TilesThatComeAndGoAlwaysFindRoomWhereAnEighthIsFree) {
+  constexpr uint64_t kSlots = 65536, kMost = kSlots / 8 * 7;
+  RangeAllocator ranges(kSlots);
+  std::vector<std::pair<uint64_t, uint64_t>> taken;  // at, size
+  std::mt19937 rng(3);
+  uint64_t used = 0;
+  for (int step = 0; step < 4000; ++step) {
+    for (auto leaving = rng() % 12; leaving > 0 && !taken.empty(); --leaving) {
+      std::swap(taken[rng() % taken.size()], taken.back());
+      ranges.release(taken.back().first, taken.back().second);
+      used -= taken.back().second;
+      taken.pop_back();
+    }
+    for (uint64_t size; used + (size = 64 + rng() % 193) <= kMost; used += size) {
+      const auto at = ranges.allocate(size, 1);
+      ASSERT_TRUE(at) << size << " of " << kSlots - used << " free slots, step " << step;
+      taken.emplace_back(*at, size);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace ff::runtime

@@ -120,15 +120,41 @@ Level aggregate(const Level& below, std::vector<uint32_t>& parents) {
   return level;
 }
 
-// Families of siblings stay together; parents empty: every node is its own family.
-std::vector<uint32_t> tileStarts(size_t nodes, const std::vector<uint32_t>& parents, uint32_t tile_nodes) {
-  std::vector<uint32_t> starts{0};
-  for (uint32_t i = 0, family = 0; i < nodes; i = family) {
-    for (family = i + 1; family < nodes && !parents.empty() && parents[family] == parents[i];) ++family;
-    if (family - starts.back() > tile_nodes) starts.push_back(i);
-  }
-  starts.push_back(static_cast<uint32_t>(nodes));
+// Tiles of up to tile_nodes of the level below one whose tiles are known, and the order of its nodes: every tile's odd parents have their children
+// in other tiles than the even ones, so that parents are in order within a tile only. Returns where tiles start.
+std::vector<uint32_t> cutTiles(const std::vector<uint32_t>& parents, const std::vector<uint32_t>& starts_above, uint32_t tile_nodes,
+                               std::vector<uint32_t>& order) {
+  std::vector<uint32_t> starts{0}, first(starts_above.back()), children(starts_above.back());
+  for (size_t i = parents.size(); i-- > 0; ++children[parents[i]]) first[parents[i]] = static_cast<uint32_t>(i);
+  for (size_t t = 0; t + 1 < starts_above.size(); ++t)
+    for (const uint32_t odd : {0u, 1u}) {
+      for (uint32_t p = starts_above[t]; p < starts_above[t + 1]; ++p) {
+        if (p % 2 != odd) continue;
+        if (order.size() + children[p] - starts.back() > tile_nodes) starts.push_back(static_cast<uint32_t>(order.size()));
+        for (uint32_t i = 0; i < children[p]; ++i) order.push_back(first[p] + i);
+      }
+      if (order.size() > starts.back()) starts.push_back(static_cast<uint32_t>(order.size()));
+    }
   return starts;
+}
+
+// Gives the level's nodes new numbers: order holds the old ones. parents: of the level below; own_parents: of this one.
+void reorder(const std::vector<uint32_t>& order, Level& level, std::vector<uint32_t>* own_parents, std::vector<uint32_t>* parents) {
+  std::vector<uint32_t> number(order.size());
+  for (uint32_t i = 0; i < order.size(); ++i) number[order[i]] = i;
+  const Level old = level;
+  const std::vector<uint32_t> old_parents = own_parents ? *own_parents : std::vector<uint32_t>();
+  for (size_t i = 0; i < order.size(); ++i) {
+    level.codes[i] = old.codes[order[i]];
+    level.nodes[i] = old.nodes[order[i]];
+    level.lamps[i] = old.lamps[order[i]];
+    level.boxes[i] = old.boxes[order[i]];
+    level.rows[i].clear();
+    for (const auto& [column, n] : old.rows[order[i]]) level.rows[i][number[column]] = n;
+    if (own_parents) (*own_parents)[i] = old_parents[order[i]];
+  }
+  if (parents)
+    for (uint32_t& p : *parents) p = number[p];
 }
 
 void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>& starts,
@@ -189,14 +215,23 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
     group.area_m2 += static_cast<double>(node.area_m2);
     ++group.patches;
   }
+  std::vector<Level> levels;
+  levels.push_back(std::move(level));
+  world.parents.resize(settings.levels - 1);
+  while (levels.size() < settings.levels) levels.push_back(aggregate(levels.back(), world.parents[levels.size() - 1]));
+  std::vector<std::vector<uint32_t>> starts(settings.levels);
+  const auto top = static_cast<uint32_t>(levels.back().nodes.size());
+  for (uint32_t i = 0; i < top; i += settings.tile_nodes) starts.back().push_back(i);
+  starts.back().push_back(top);
+  for (uint32_t l = settings.levels - 1; l-- > 0;) {
+    std::vector<uint32_t> order;
+    starts[l] = cutTiles(world.parents[l], starts[l + 1], settings.tile_nodes, order);
+    reorder(order, levels[l], &world.parents[l], l > 0 ? &world.parents[l - 1] : nullptr);
+  }
+  const std::vector<uint32_t> none;
   for (uint32_t l = 0; l < settings.levels; ++l) {
-    std::vector<uint32_t> parents;
-    Level above;
-    if (l + 1 < settings.levels) above = aggregate(level, parents);
-    addStrips(level, l, tileStarts(level.nodes.size(), parents, settings.tile_nodes), parents, world);
+    addStrips(levels[l], l, starts[l], l + 1 < settings.levels ? world.parents[l] : none, world);
     world.cell_m.push_back(static_cast<float>(1u << l));
-    if (l + 1 < settings.levels) world.parents.push_back(std::move(parents));
-    level = std::move(above);
   }
   world.info.cell_m = 1;
   world.info.grid_origin = world.info.bounds.lo;

@@ -1,5 +1,5 @@
-// A made-up world whose answers are known: patches on a square of unit cells with holes, in Morton order, clusters of
-// 2x2 cells, and rows drawn at random (mostly near columns). Coarse rows are the exact aggregates of the patches' rows
+// A made-up world whose answers are known: patches on a square of unit cells with holes, clusters of
+// 2x2 cells, tiles that are a tree but do not follow the Morton order of cells, and rows drawn at random (mostly near columns). Coarse rows are the exact aggregates of the patches' rows
 // when areas are equal: with A and Q the same everywhere, A_I F_IJ = sum of A_i F_ij becomes a sum of integer counts.
 // A tenth of the patches emit, in three lamp groups; their light is what the patches' rows would bring of it.
 #pragma once
