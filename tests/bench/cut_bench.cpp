@@ -1,11 +1,13 @@
 // ff_bench_cut: what the cut costs in accuracy. Streams a world around several observers, solves the local matrix, and
-// compares reflected radiosity within half the local radius with the double-precision solve of the whole world: same
-// rows, sun and sky. Beside it the same with everything outside as one constant, at its best value. Prints JSON lines.
+// compares reflected radiosity with the double-precision solve of the whole world: same rows, sun and sky. At fixed distances around
+// eyes in streets and rooms (cut_places.h), and within half the local radius, there beside everything outside as one constant, at its
+// best value. Prints JSON lines.
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
 
+#include "tests/bench/cut_places.h"
 #include "tests/bench/truth.h"
 
 namespace {
@@ -16,8 +18,10 @@ using namespace ff::runtime;
 
 struct Options {
   std::string world;
-  bool quick = false, lamps = false, verbose = false;
-  int observers = 24;
+  uint64_t patches = 60000;
+  uint32_t rays = 4096;
+  bool quick = false, lamps = false, verbose = false, fixed_only = false;
+  int observers = 24, eyes = 32;
   float growth = stream::StreamSettings{}.growth;
   float radius_m = stream::StreamSettings{}.radius_m;
   uint32_t max_patches = 4096;
@@ -64,8 +68,15 @@ void run(const Options& options) {
   const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_cut_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
   const formats::World world =
-      orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick) : options.world));
+      orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick, options.patches, options.rays) : options.world));
   const Truth truth = solveTruth(world, options.lamps);
+  const CutSettings settings{options.radius_m, options.growth, options.max_patches};
+  printFixedDistances(world, truth, settings, options.eyes);
+  printCutChanges(world, truth, settings);
+  if (options.fixed_only) {
+    std::filesystem::remove_all(folder);
+    return;
+  }
 
   std::vector<double> pyramid, constant, bounced;
   Difference all_pyramid, all_constant;
@@ -138,6 +149,12 @@ int main(int argc, char** argv) {
   CLI::App app{"Accuracy of the cut: streamed against whole-world radiosity. One JSON object a line."};
   app.add_option("--world", options.world, "a baked world with drawing geometry; without it a town is baked");
   app.add_flag("--quick", options.quick, "a smaller town");
+  app.add_option("--patches", options.patches, "of the town that is baked: 60000, 60k, 1M")
+      ->transform(CLI::AsSizeValue(true))
+      ->capture_default_str();
+  app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
+  app.add_flag("--fixed-only", options.fixed_only, "fixed distances and changes of the cut alone");
+  app.add_option("--eyes", options.eyes, "for fixed distances, half in streets, half in rooms")->check(CLI::Range(2, 1000))->capture_default_str();
   app.add_flag("--lamps", options.lamps, "lamps are on, too");
   app.add_flag("--verbose", options.verbose, "a line per observer on standard error");
   app.add_option("--observers", options.observers)->check(CLI::Range(1, 1000))->capture_default_str();

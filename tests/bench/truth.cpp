@@ -24,11 +24,11 @@ double median(std::vector<double>& values) {
   return values[values.size() / 2];
 }
 
-std::string bakeTown(const std::filesystem::path& folder, bool quick) {
+std::string bakeTown(const std::filesystem::path& folder, bool quick, uint64_t patches, uint32_t rays) {
   const std::string scene = (folder / "town.glb").string(), world = (folder / "town.ffm").string();
-  const tools::Town town = orExit(tools::makeTown({.patches = quick ? 8000u : 60000u}));
+  const tools::Town town = orExit(tools::makeTown({.patches = quick ? 8000 : patches}));
   orExit(tools::writeGlb(tools::townModel(town, false), scene));
-  (void)orExit(bake::bakeWorld(orExit(bake::importGltf(scene)), {.cell_m = 1}, world));
+  (void)orExit(bake::bakeWorld(orExit(bake::importGltf(scene)), {.cell_m = 1, .rays = rays}, world));
   return world;
 }
 

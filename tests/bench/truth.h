@@ -43,8 +43,8 @@ void print(const std::string& metric, double value, const char* unit, double lim
 // The middle one; values is reordered.
 double median(std::vector<double>& values);
 
-// Generates and bakes a voxel town into the folder; returns the world's path.
-std::string bakeTown(const std::filesystem::path& folder, bool quick);
+// Generates and bakes a voxel town into the folder; returns the world's path. quick: of 8000 patches.
+std::string bakeTown(const std::filesystem::path& folder, bool quick, uint64_t patches = 60'000, uint32_t rays = 4096);
 
 using Truth = chart::WorldTruth;
 using chart::Case;

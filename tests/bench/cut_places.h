@@ -1,0 +1,23 @@
+// What the cut shows around eyes that stand where people do, at fixed distances, and what its changes cost as they walk.
+#pragma once
+#include <vector>
+
+#include "tests/bench/truth.h"
+
+namespace ff::bench {
+
+// Eyes 1.6 m above floors: half of them in streets, half in rooms. Functions of where patches lie, not of their numbers.
+std::vector<Vec3> standingEyes(const Truth& truth, int count);
+
+struct CutSettings {
+  float radius_m = 0, growth = 0;
+  uint32_t max_patches = 0;
+};
+
+// Prints cut.full_resolution_Nm and cut.median_error_Nm for N = 6, 12, 24, cut.slots, cut.entries and cut.tiles.
+void printFixedDistances(const formats::World& world, const Truth& truth, const CutSettings& settings, int eyes);
+
+// Prints cut.change_ms (worst; median in the note) of walks at 30 m/s, 60 frames a second: along a line, there and back, and in a circle.
+void printCutChanges(const formats::World& world, const Truth& truth, const CutSettings& settings);
+
+}  // namespace ff::bench
