@@ -17,6 +17,7 @@ constexpr double kLeastLit = 0.05;     // of the mean brightness that a light fi
 constexpr float kTouching = 1.8f;      // cells between patches that touch, at most
 constexpr int kCuts = 3;               // of a lit surface
 constexpr size_t kFewestLit = 4;       // patches of a part of it
+constexpr float kMargin = 0.01f;       // cells around a part; centroids of one plane differ by less, as tiles round them each its own way
 
 // Off a patch, running along it at ten cells a second: a man's run through a town of 1 m.
 Place placeOff(const formats::Node& node, float away_m, float cell_m) {
@@ -80,7 +81,7 @@ Box boxOf(const LitSurface& part, float margin_m) {
 }
 
 // Across the longest side, each half with half of the share; as it is where a half would have too few patches.
-void cutInTwo(LitSurface part, std::vector<LitSurface>& halves) {
+void cutInTwo(LitSurface part, float margin_m, std::vector<LitSurface>& halves) {
   const Vec3 size = part.empty() ? Vec3{} : boxOf(part, 0).hi - boxOf(part, 0).lo;
   const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.z >= size.y ? 2 : 1;
   const auto along = [&](const LitPatch& p) { return p.node->centroid[axis]; };
@@ -94,7 +95,7 @@ void cutInTwo(LitSurface part, std::vector<LitSurface>& halves) {
   double nearest = all;
   for (size_t i = 1; i < part.size(); ++i) {
     before += part[i - 1].share;
-    if (i < kFewestLit || part.size() - i < kFewestLit || !(along(part[i]) - along(part[i - 1]) > 0)) continue;
+    if (i < kFewestLit || part.size() - i < kFewestLit || !(along(part[i]) - along(part[i - 1]) > 2 * margin_m)) continue;
     if (const double off = std::abs(before - all / 2); off < nearest) nearest = off, best = i;
   }
   if (best == 0) {
@@ -191,7 +192,7 @@ Result<std::vector<Place>> placesInLight(const Lighting& light, MeasuredWorld& w
   std::vector<LitSurface> parts{litSurface(**lit, world.patches(), kTouching * cell)};
   for (int cut = 0; cut < kCuts; ++cut) {
     std::vector<LitSurface> halves;
-    for (LitSurface& part : parts) cutInTwo(std::move(part), halves);
+    for (LitSurface& part : parts) cutInTwo(std::move(part), kMargin * cell, halves);
     parts = std::move(halves);
   }
   if (parts.size() < 2) return std::vector<Place>{};
@@ -204,7 +205,7 @@ Result<std::vector<Place>> placesInLight(const Lighting& light, MeasuredWorld& w
     const float room = world.tracer().sight(middle.centroid + middle.normal * (0.01f * cell), middle.normal).distance_m;
     Place place = placeOff(middle, std::min(0.5f * cell, 0.5f * room), cell);
     place.in_light = light.name;
-    place.within = boxOf(part, 0.01f * cell);
+    place.within = boxOf(part, kMargin * cell);
     if (auto moved = cut->moveTo(place.observer); !moved) return moved.error();
     place.reach_m = std::min(cut->localRadius() / 2, 24 * cell);
     places.push_back(place);
