@@ -429,6 +429,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.lights = scene.lights;
   if (auto ok = writer->finish(info, hierarchy.parents, cells, buildSpatialIndex(cell_tiles, set->cell_m)); !ok)
     return ok.error();
+  stats.warnings.insert(stats.warnings.end(), writer->warnings().begin(), writer->warnings().end());
   stats.not_modelled = notModelled(scene);
   for (uint32_t& i : lowered) i = patch_of[i];
   if (auto line = loweredAlbedos(scene, *set, lowered)) stats.not_modelled.push_back(std::move(*line));

@@ -4,7 +4,6 @@
 #include <new>
 
 #include "formats/checksum.h"
-#include "formats/file.h"
 #include "formats/geometry.h"
 #include "formats/manifest.h"
 #include "formats/shard.h"
@@ -16,7 +15,7 @@ struct World::State {
   std::string path;
   Manifest manifest;
   std::vector<ShardInfo> shards;
-  std::vector<Descriptor> descriptors;  // of `shards`
+  std::vector<std::unique_ptr<StoredFile>> files;  // of `shards`
   std::vector<std::string> shard_paths;
   // By level, then by tile.
   std::vector<std::vector<TileInfo>> tiles;
@@ -36,14 +35,6 @@ constexpr const char* kRemedy = "restore the world's files from one copy, or bak
 Error inFile(Error e, const std::string& path) {
   if (e.file.empty()) e.file = path;
   return e;
-}
-
-Result<std::vector<std::byte>> readWholeFile(const std::string& path) {
-  auto file = openForReading(path);
-  if (!file) return file.error();
-  std::vector<std::byte> bytes(file->bytes);
-  if (auto ok = readAt(file->descriptor.get(), 0, bytes, path); !ok) return ok.error();
-  return bytes;
 }
 
 // Tiles come from the coarsest level to level 0, ascending, without gaps: FORMAT.md section 3.4.
@@ -122,8 +113,8 @@ std::vector<uint32_t> tileDirectory(std::span<const TileInfo> tiles, uint32_t no
 
 }  // namespace
 
-Result<World> World::open(const std::string& path) try {
-  auto bytes = readWholeFile(path);
+Result<World> World::open(const std::string& path, const StoragePtr& storage) try {
+  auto bytes = readWholeFile(*storage, path);
   if (!bytes) return bytes.error();
   auto manifest = parseManifest(*bytes);
   if (!manifest) return inFile(manifest.error(), path);
@@ -132,14 +123,14 @@ Result<World> World::open(const std::string& path) try {
   s.path = path;
   s.manifest = std::move(*manifest);
   const Manifest& m = s.manifest;
-  const std::string folder = path.find('/') == std::string::npos ? "" : path.substr(0, path.rfind('/') + 1);
+  const std::string folder = path.substr(0, path.size() - fileNameOf(path).size());
   s.tiles.resize(m.levels.size());
   s.checksums.resize(m.levels.size());
   size_t level = m.levels.size() - 1;
   for (uint32_t i = 0; i < m.shards.size(); ++i) {
     const ShardRecord& record = m.shards[i];
     const std::string shard_path = folder + record.name;
-    auto shard = openShard(shard_path, record, i);
+    auto shard = openShard(*storage, shard_path, record, i);
     if (!shard) return shard.error();
     if (record.kind == kKindRows) {
       if (auto ok = takeEntries(std::move(shard->entries), m, shard_path, s.tiles, s.checksums, level); !ok)
@@ -152,8 +143,8 @@ Result<World> World::open(const std::string& path) try {
         s.geometry.push_back(e);
       }
     }
-    s.shards.push_back({record.name, record.bytes, record.kind == kKindGeometry, shard->descriptor.get()});
-    s.descriptors.push_back(std::move(shard->descriptor));
+    s.shards.push_back({record.name, record.bytes, record.kind == kKindGeometry, shard->file->descriptor()});
+    s.files.push_back(std::move(shard->file));
     s.shard_paths.push_back(shard_path);
   }
   if (auto ok = checkTotals(m, s.tiles, path); !ok) return ok.error();
@@ -225,6 +216,12 @@ Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, St
   return {};
 }
 
+Result<void> World::readStored(TileId id, std::span<std::byte> out) const {
+  const TileInfo& info = state_->tiles[id.level][id.tile];
+  FF_CHECK_EQ(out.size(), size_t{info.stored_bytes});
+  return state_->files[info.shard]->read(info.offset, out);
+}
+
 Result<Strip> World::strip(TileId id) const {
   const State& s = *state_;
   Strip out;
@@ -232,10 +229,8 @@ Result<Strip> World::strip(TileId id) const {
     auto refused = decodeStrip(id, {}, out);  // words the refusal
     return refused.error();
   }
-  const TileInfo& info = s.tiles[id.level][id.tile];
-  std::vector<std::byte> stored(info.stored_bytes);
-  if (auto ok = readAt(s.shards[info.shard].descriptor, info.offset, stored, s.shard_paths[info.shard]); !ok)
-    return ok.error();
+  std::vector<std::byte> stored(s.tiles[id.level][id.tile].stored_bytes);
+  if (auto ok = readStored(id, stored); !ok) return ok.error();
   if (auto ok = decodeStrip(id, stored, out); !ok) return ok.error();
   return out;
 }
@@ -251,7 +246,7 @@ Result<TileGeometry> World::geometry(uint32_t tile) const {
   const ShardEntry& entry = s.geometry[tile];
   const std::string& path = s.shard_paths[entry.info.shard];
   std::vector<std::byte> stored(entry.info.stored_bytes);
-  if (auto ok = readAt(s.shards[entry.info.shard].descriptor, entry.info.offset, stored, path); !ok) return ok.error();
+  if (auto ok = s.files[entry.info.shard]->read(entry.info.offset, stored); !ok) return ok.error();
   TileGeometry out;
   out.tile = tile;
   if (auto ok = checkGeometryHeader(entry, stored); !ok) return inFile(ok.error(), path);

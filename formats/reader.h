@@ -1,5 +1,5 @@
 // Reads a world. Everything small (manifest, shard indices, parent links) is read by open(); strips and geometry are read
-// on demand. All const members are thread-safe (pread on shared descriptors, no shared cursor). Every extent is checked
+// on demand. All const members are thread-safe (files are read at offsets, there is no shared cursor). Every extent is checked
 // against the file's size before memory is taken; what a file says can make a call fail, never crash.
 #pragma once
 #include <cstddef>
@@ -10,6 +10,7 @@
 
 #include "formats/layout.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::formats {
 
@@ -17,13 +18,13 @@ struct ShardInfo {
   std::string name;     // beside the manifest
   uint64_t bytes = 0;
   bool geometry = false;
-  int descriptor = -1;  // open for reading as long as the World lives, for asynchronous readers; never close it
+  int descriptor = -1;  // open for reading as long as the World lives, for asynchronous readers; never close it. -1: none
 };
 
 class World {
  public:
   // path: the .ffm file. Errors: kIo (missing, unreadable), kInvalidFile (each with place and remedy).
-  static Result<World> open(const std::string& path);
+  static Result<World> open(const std::string& path, const StoragePtr& storage = posixStorage());
   World(World&&) noexcept;
   World& operator=(World&&) noexcept;
   ~World();
@@ -48,6 +49,8 @@ class World {
   // Decodes stored bytes (TileInfo::stored_bytes of them, read from TileInfo::offset of the shard by any means) into
   // `out`, whose vectors are reused. Checks the checksum (mixed with id and offset) and every rule of FORMAT.md.
   Result<void> decodeStrip(TileId id, std::span<const std::byte> stored, Strip& out) const;
+  // Reads them; out: TileInfo::stored_bytes.
+  Result<void> readStored(TileId id, std::span<std::byte> out) const;
   // Reads and decodes.
   Result<Strip> strip(TileId id) const;
   // Drawing geometry of a level-0 tile; kInvalidFile if the world has none.

@@ -10,9 +10,9 @@ Error broken(const std::string& path, uint64_t offset, const std::string& messag
           "restore the world's files from one copy, or bake again"};
 }
 
-Result<void> checkHeader(const std::string& path, int fd, const ShardRecord& record, uint32_t number) {
+Result<void> checkHeader(const std::string& path, const StoredFile& file, const ShardRecord& record, uint32_t number) {
   std::vector<std::byte> bytes(kShardHeaderBytes);
-  if (auto ok = readAt(fd, 0, bytes, path); !ok) return ok;
+  if (auto ok = file.read(0, bytes); !ok) return ok;
   ByteReader r(bytes);
   ShardHeader h;
   ShardHeader::fields(r, h);
@@ -31,10 +31,10 @@ Result<void> checkHeader(const std::string& path, int fd, const ShardRecord& rec
   return {};
 }
 
-Result<ShardFooter> readFooter(const std::string& path, int fd, uint64_t file_bytes, const ShardRecord& record) {
-  const uint64_t at = file_bytes - kFooterBytes;
+Result<ShardFooter> readFooter(const std::string& path, const StoredFile& file, const ShardRecord& record) {
+  const uint64_t file_bytes = file.bytes(), at = file_bytes - kFooterBytes;
   std::vector<std::byte> bytes(kFooterBytes);
-  if (auto ok = readAt(fd, at, bytes, path); !ok) return ok.error();
+  if (auto ok = file.read(at, bytes); !ok) return ok.error();
   ByteReader r(bytes);
   ShardFooter f;
   ShardFooter::fields(r, f);
@@ -51,20 +51,20 @@ Result<ShardFooter> readFooter(const std::string& path, int fd, uint64_t file_by
 
 }  // namespace
 
-Result<OpenShard> openShard(const std::string& path, const ShardRecord& record, uint32_t number) {
-  auto file = openForReading(path);
-  if (!file) return file.error();
-  if (file->bytes != record.bytes || file->bytes < kShardHeaderBytes + kFooterBytes)
-    return broken(path, file->bytes,
+Result<OpenShard> openShard(Storage& storage, const std::string& path, const ShardRecord& record, uint32_t number) {
+  auto opened = storage.open(path);
+  if (!opened) return opened.error();
+  const StoredFile& file = **opened;
+  if (file.bytes() != record.bytes || file.bytes() < kShardHeaderBytes + kFooterBytes)
+    return broken(path, file.bytes(),
                   "the manifest says " + std::to_string(record.bytes) + " bytes, the file has " +
-                      std::to_string(file->bytes));
-  const int fd = file->descriptor.get();
-  if (auto ok = checkHeader(path, fd, record, number); !ok) return ok.error();
-  auto footer = readFooter(path, fd, file->bytes, record);
+                      std::to_string(file.bytes()));
+  if (auto ok = checkHeader(path, file, record, number); !ok) return ok.error();
+  auto footer = readFooter(path, file, record);
   if (!footer) return footer.error();
 
   std::vector<std::byte> index(uint64_t{footer->records} * kIndexRecordBytes);
-  if (auto ok = readAt(fd, footer->index_offset, index, path); !ok) return ok.error();
+  if (auto ok = file.read(footer->index_offset, index); !ok) return ok.error();
   if (hashBytes(index) != footer->index_checksum) return broken(path, footer->index_offset, "index checksum mismatch");
   OpenShard shard;
   shard.entries.reserve(footer->records);
@@ -94,7 +94,7 @@ Result<OpenShard> openShard(const std::string& path, const ShardRecord& record, 
   }
   if (r.reservedUsed()) return broken(path, footer->index_offset, "uses a reserved byte of the index");
   if (next != footer->index_offset) return broken(path, next, "bytes between the strips and the index");
-  shard.descriptor = std::move(file->descriptor);
+  shard.file = std::move(*opened);
   return shard;
 }
 

@@ -4,10 +4,10 @@
 #include <string>
 #include <vector>
 
-#include "formats/file.h"
 #include "formats/layout.h"
 #include "formats/records.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::formats {
 
@@ -17,12 +17,12 @@ struct ShardEntry {
 };
 
 struct OpenShard {
-  Descriptor descriptor;
+  std::unique_ptr<StoredFile> file;
   std::vector<ShardEntry> entries;  // in the order of the file
 };
 
 // number: index in the manifest's shard table.
-Result<OpenShard> openShard(const std::string& path, const ShardRecord& record, uint32_t number);
+Result<OpenShard> openShard(Storage& storage, const std::string& path, const ShardRecord& record, uint32_t number);
 
 // Header and checksum of a geometry strip.
 Result<void> checkGeometryHeader(const ShardEntry& entry, std::span<const std::byte> stored);

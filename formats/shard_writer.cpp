@@ -1,10 +1,6 @@
 #include "formats/shard_writer.h"
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include <cerrno>
-#include <cstdio>
+#include <algorithm>
 
 #include "formats/checksum.h"
 
@@ -13,36 +9,27 @@ namespace {
 
 constexpr size_t kWriteBytes = size_t{1} << 20;
 
-std::string fileName(const std::string& path) { return path.substr(path.rfind('/') + 1); }
-
-Result<Descriptor> createFile(const std::string& path) {
-  Descriptor fd(::open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644));
-  if (!fd) return systemError(path, "cannot create");
-  return fd;
+std::string digits(uint64_t number, unsigned base, size_t width) {
+  std::string text;
+  for (; text.size() < width || number > 0; number /= base) text.insert(text.begin(), "0123456789abcdef"[number % base]);
+  return text;
 }
 
-Result<void> writeAll(int fd, std::span<const std::byte> data, const std::string& path) {
-  while (!data.empty()) {
-    const ssize_t n = ::write(fd, data.data(), data.size());
-    if (n < 0 && errno == EINTR) continue;
-    if (n < 0) return systemError(path, "cannot write");
-    data = data.subspan(static_cast<size_t>(n));
-  }
-  return {};
-}
+const char* infix(uint32_t kind) { return kind == kKindGeometry ? ".geometry." : "."; }
 
 }  // namespace
 
-Result<std::unique_ptr<ShardWriter>> ShardWriter::create(const std::string& path, uint32_t kind, uint32_t number) {
+Result<std::unique_ptr<ShardWriter>> ShardWriter::create(StoragePtr storage, const std::string& stem, uint32_t kind, uint32_t number) {
   std::unique_ptr<ShardWriter> shard(new ShardWriter);
   ShardWriter& s = *shard;
-  auto fd = createFile(path + ".part");
-  if (!fd) return fd.error();
-  s.path_ = path;
-  s.part_path_ = path + ".part";
-  s.descriptor_ = std::move(*fd);
+  const std::string part = stem + infix(kind) + digits(number, 10, 4) + ".part";
+  auto file = storage->create(part);
+  if (!file) return file.error();
+  s.storage_ = std::move(storage);
+  s.stem_ = stem;
+  s.part_path_ = part;
+  s.file_ = std::move(*file);
   s.number_ = number;
-  s.record_.name = fileName(path);
   s.record_.kind = kind;
   ShardHeader header;
   header.kind = kind;
@@ -54,7 +41,7 @@ Result<std::unique_ptr<ShardWriter>> ShardWriter::create(const std::string& path
 }
 
 ShardWriter::~ShardWriter() {
-  if (!part_path_.empty()) ::unlink(part_path_.c_str());
+  if (!part_path_.empty()) (void)storage_->remove(part_path_);
 }
 
 Result<void> ShardWriter::write(std::span<const std::byte> data) {
@@ -64,7 +51,7 @@ Result<void> ShardWriter::write(std::span<const std::byte> data) {
 }
 
 Result<void> ShardWriter::flush() {
-  auto ok = writeAll(descriptor_.get(), pending_, part_path_);
+  auto ok = file_->append(pending_);
   pending_.clear();
   return ok;
 }
@@ -101,40 +88,33 @@ Result<void> ShardWriter::finish() {
   if (auto ok = write(index_.data()); !ok) return ok;
   if (auto ok = write(bytes); !ok) return ok;
   if (auto ok = flush(); !ok) return ok;
-  if (::fsync(descriptor_.get()) != 0) return systemError(part_path_, "cannot sync");
-  descriptor_ = Descriptor();
+  if (auto ok = file_->sync(); !ok) return ok;
+  file_.reset();
   index_ = ByteWriter();
   record_.bytes = bytes_;
   record_.index_checksum = footer.index_checksum;
+  // The footer's checksum is one of all the shard holds, by way of the index and the strips' own.
+  record_.name = fileNameOf(stem_) + infix(record_.kind) + digits(loadLittle<uint64_t>(bytes.data() + kFooterBytes - 8), 16, 16) + ".ffs";
   return {};
 }
 
 Result<void> ShardWriter::rename() {
-  if (::rename(part_path_.c_str(), path_.c_str()) != 0) return systemError(path_, "cannot rename");
+  if (auto ok = storage_->rename(part_path_, folderOf(stem_) + record_.name); !ok) return ok;
   part_path_.clear();
   return {};
 }
 
-Result<void> writeFileAtomically(const std::string& path, std::span<const std::byte> bytes) {
-  const std::string part = path + ".part";
-  auto fd = createFile(part);
-  if (!fd) return fd.error();
-  auto ok = writeAll(fd->get(), bytes, part);
-  if (ok && ::fsync(fd->get()) != 0) ok = systemError(part, "cannot sync");
-  if (ok && ::rename(part.c_str(), path.c_str()) != 0) ok = systemError(path, "cannot rename");
-  if (!ok) {
-    ::unlink(part.c_str());
-    return ok;
-  }
-  return syncFolderOf(path);
-}
-
-Result<void> syncFolderOf(const std::string& path) {
-  const size_t slash = path.rfind('/');
-  const std::string folder = slash == std::string::npos ? "." : path.substr(0, slash + 1);
-  const Descriptor fd(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  if (!fd || ::fsync(fd.get()) != 0) return systemError(folder, "cannot sync the folder");
-  return {};
+bool isPartOfWorld(const std::string& name, const std::string& file) {
+  std::string_view rest = file;
+  if (!rest.starts_with(name + ".")) return false;
+  rest.remove_prefix(name.size() + 1);
+  if (rest == "ffm.part") return true;
+  if (rest.starts_with("geometry.")) rest.remove_prefix(9);
+  const size_t dot = rest.find('.');
+  if (dot == std::string_view::npos) return false;
+  const std::string_view number = rest.substr(0, dot), end = rest.substr(dot);
+  const auto all = [&](std::string_view allowed) { return number.find_first_not_of(allowed) == std::string_view::npos; };
+  return (end == ".ffs" && number.size() == 16 && all("0123456789abcdef")) || (end == ".part" && number.size() >= 4 && all("0123456789"));
 }
 
 }  // namespace ff::formats

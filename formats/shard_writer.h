@@ -1,27 +1,28 @@
 // Writes one shard under a temporary name: header, strips as they come, index, footer. finish() syncs it; rename() gives
-// it its name. Destroyed before rename(), it removes its file.
+// it its name, which comes from its content. Destroyed before rename(), it removes its file.
 #pragma once
 #include <memory>
 #include <string>
 #include <vector>
 
-#include "formats/file.h"
 #include "formats/layout.h"
 #include "formats/records.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::formats {
 
 class ShardWriter {
  public:
-  static Result<std::unique_ptr<ShardWriter>> create(const std::string& path, uint32_t kind, uint32_t number);
+  // stem: the manifest's path without .ffm. number: in the manifest's table.
+  static Result<std::unique_ptr<ShardWriter>> create(StoragePtr storage, const std::string& stem, uint32_t kind, uint32_t number);
   ShardWriter(const ShardWriter&) = delete;
   ~ShardWriter();
 
   // Completes the checksum, which depends on the place, and writes. `bytes` begins with a StripHeader whose checksum field
   // holds hashStripContent().
   Result<void> add(const TileInfo& info, std::vector<std::byte> bytes);
-  // Index, footer, fsync, close.
+  // Index, footer, sync, close.
   Result<void> finish();
   Result<void> rename();
 
@@ -34,8 +35,9 @@ class ShardWriter {
   Result<void> write(std::span<const std::byte> data);
   Result<void> flush();
 
-  std::string path_, part_path_;  // part_path_ is empty once there is nothing to remove
-  Descriptor descriptor_;
+  StoragePtr storage_;
+  std::string stem_, part_path_;  // part_path_ is empty once there is nothing to remove
+  std::unique_ptr<NewFile> file_;
   ShardRecord record_;
   uint32_t number_ = 0;
   uint64_t bytes_ = 0;
@@ -43,9 +45,8 @@ class ShardWriter {
   ByteWriter index_;
 };
 
-// Writes a whole file under a temporary name, syncs it, renames it and syncs its folder.
-Result<void> writeFileAtomically(const std::string& path, std::span<const std::byte> bytes);
-// So that renames in the folder of `path` survive a power cut.
-Result<void> syncFolderOf(const std::string& path);
+// Whether a file of this name is of the world whose manifest is called NAME.ffm, and no other's: a shard, or what a bake that was
+// killed left of one or of the manifest. name, file: without folders.
+bool isPartOfWorld(const std::string& name, const std::string& file);
 
 }  // namespace ff::formats

@@ -1,6 +1,5 @@
 #include "formats/writer.h"
 
-#include <unistd.h>
 #include <zstd.h>
 
 #include <algorithm>
@@ -13,11 +12,12 @@
 namespace ff::formats {
 
 struct WorldWriter::State {
+  StoragePtr storage;
+  std::vector<std::string> warnings;
   std::string path, stem;  // stem: path without .ffm
   uint64_t shard_bytes = 0;
   std::vector<std::unique_ptr<ShardWriter>> shards;  // in the order of the manifest's table
   ShardWriter* open_shard[2] = {};                   // by kind; null: none is open
-  uint32_t shards_of_kind[2] = {};
   std::vector<LevelInfo> levels;                     // sized by the first strip, which is of the coarsest level
   std::vector<std::vector<uint32_t>> tile_starts;    // by level: first node of each tile, then the number of nodes
   uint32_t level = 0;                                // of the last strip
@@ -26,6 +26,7 @@ struct WorldWriter::State {
 
   Result<void> addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes);
   Result<void> closeShard(uint32_t kind);
+  void removeUnnamed();
 };
 
 namespace {
@@ -33,12 +34,6 @@ namespace {
 constexpr int kZstdLevel = 3;
 
 Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
-
-std::string shardPath(const std::string& stem, uint32_t kind, uint32_t number) {
-  std::string digits = std::to_string(number);
-  digits.insert(0, digits.size() < 4 ? 4 - digits.size() : 0, '0');
-  return stem + (kind == kKindGeometry ? ".geometry." : ".") + digits + ".ffs";
-}
 
 // What layout.h promises of parents as bits and places (FORMAT.md section 2.6); refuses what it does not. starts, starts_above: first node of
 // each tile of the level and of the one above, then the number of nodes.
@@ -107,11 +102,6 @@ std::vector<std::byte> manifestBytes(const std::vector<SectionBytes>& sections) 
   return out;
 }
 
-// A world baked before under the same name may have had more shards.
-void removeShardsFrom(const std::string& stem, uint32_t kind, uint32_t number) {
-  while (::unlink(shardPath(stem, kind, number).c_str()) == 0) ++number;
-}
-
 }  // namespace
 
 Result<void> WorldWriter::State::closeShard(uint32_t kind) {
@@ -123,10 +113,8 @@ Result<void> WorldWriter::State::closeShard(uint32_t kind) {
 
 Result<void> WorldWriter::State::addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes) {
   if (open_shard[kind] == nullptr) {
-    auto shard = ShardWriter::create(shardPath(stem, kind, shards_of_kind[kind]), kind,
-                                     static_cast<uint32_t>(shards.size()));
+    auto shard = ShardWriter::create(storage, stem, kind, static_cast<uint32_t>(shards.size()));
     if (!shard) return shard.error();
-    ++shards_of_kind[kind];
     shards.push_back(std::move(*shard));
     open_shard[kind] = shards.back().get();
   }
@@ -134,8 +122,9 @@ Result<void> WorldWriter::State::addTo(uint32_t kind, const TileInfo& info, std:
   return open_shard[kind]->bytes() >= shard_bytes ? closeShard(kind) : Result<void>{};
 }
 
-Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_bytes) {
+Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_bytes, StoragePtr storage) {
   auto state = std::make_unique<State>();
+  state->storage = std::move(storage);
   state->path = path;
   const std::string suffix = ".ffm";
   if (path.size() <= suffix.size() || !path.ends_with(suffix) || path[path.size() - suffix.size() - 1] == '/')
@@ -143,9 +132,7 @@ Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_
   state->stem = path.substr(0, path.size() - suffix.size());
   state->shard_bytes = shard_bytes;
   // Says at once, not after hours, that the folder cannot be written.
-  const size_t slash = path.rfind('/');
-  const std::string folder = slash == std::string::npos ? "." : path.substr(0, slash + 1);
-  if (::access(folder.c_str(), W_OK | X_OK) != 0) return systemError(folder, "cannot write to this folder");
+  if (auto ok = state->storage->checkWritable(folderOf(path)); !ok) return ok.error();
   return WorldWriter(std::move(state));
 }
 
@@ -265,10 +252,26 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
 
   for (const auto& shard : s.shards)
     if (auto ok = shard->rename(); !ok) return ok;
-  if (auto ok = syncFolderOf(s.path); !ok) return ok;
-  if (auto ok = writeFileAtomically(s.path, manifest); !ok) return ok;
-  for (uint32_t kind : {kKindRows, kKindGeometry}) removeShardsFrom(s.stem, kind, s.shards_of_kind[kind]);
+  const auto synced = s.storage->syncFolder(folderOf(s.path));
+  if (!synced) return synced.error();
+  if (!*synced) s.warnings.push_back(folderOf(s.path) + ": this file system cannot sync a folder; after a power cut within seconds the world may be the old one");
+  if (auto ok = writeWholeFile(*s.storage, s.path, manifest); !ok) return ok;
+  s.removeUnnamed();
   return {};
 }
+
+// Shards of the world that was there before, and what killed bakes left.
+void WorldWriter::State::removeUnnamed() {
+  const std::string folder = folderOf(path);
+  const auto files = storage->list(folder);
+  if (!files) return warnings.push_back(files.error().line());
+  for (const std::string& file : *files) {
+    const auto named = [&](const auto& shard) { return shard->record().name == file; };
+    if (!isPartOfWorld(fileNameOf(stem), file) || std::any_of(shards.begin(), shards.end(), named)) continue;
+    if (auto ok = storage->remove(folder + file); !ok) warnings.push_back(ok.error().line());
+  }
+}
+
+std::span<const std::string> WorldWriter::warnings() const { return state_->warnings; }
 
 }  // namespace ff::formats

@@ -1,7 +1,9 @@
-// Writes a world: NAME.ffm (manifest), NAME.0000.ffs ... (strips), NAME.geometry.0000.ffs ... (drawing geometry).
-// The world becomes valid only in finish(): shards are synced first, then the manifest by temp file, fsync, rename and
-// directory fsync. A writer that is destroyed before finish() removes what it wrote. Not thread-safe: strips come in
-// order from one thread. The bytes depend on nothing but the calls. Never linked by a reader.
+// Writes a world: NAME.ffm (manifest), NAME.HASH.ffs ... (strips), NAME.geometry.HASH.ffs ... (drawing geometry); HASH is of a
+// shard's content. The world becomes valid only in finish(): the shards are synced and named, beside those of a world that was
+// there before under the same NAME, then the manifest takes the place of the old one in a single step, and only then the shards
+// that it does not name are removed. Whatever happens at any moment, there is the old world or the new one. A writer that is
+// destroyed before finish() removes what it wrote. Not thread-safe: strips come in order from one thread. The bytes depend on
+// nothing but the calls. Never linked by a reader.
 #pragma once
 #include <cstdint>
 #include <memory>
@@ -11,6 +13,7 @@
 
 #include "formats/layout.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::formats {
 
@@ -26,7 +29,7 @@ Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds);
 class WorldWriter {
  public:
   // path: the manifest to be, "out/town.ffm". Its folder must exist. shard_bytes: a shard is closed once it has this many.
-  static Result<WorldWriter> create(const std::string& path, uint64_t shard_bytes = uint64_t{256} << 20);
+  static Result<WorldWriter> create(const std::string& path, uint64_t shard_bytes = uint64_t{256} << 20, StoragePtr storage = posixStorage());
   WorldWriter(WorldWriter&&) noexcept;
   WorldWriter& operator=(WorldWriter&&) noexcept;
   ~WorldWriter();
@@ -40,8 +43,12 @@ class WorldWriter {
   // a tile, where siblings are consecutive, and lie in one tile, whose number does not fall from one tile to the next.
   // cell_m[l]: grid cell edge. spatial_grid: a NanoVDB IntGrid (cell -> number of the level-0 tile that holds the
   // cell's first patch, + 1; 0: none), or empty.
+  // What could not be done without harm to the world is a warning in warnings(): a folder that cannot be synced, an old shard
+  // that cannot be removed.
   Result<void> finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents,
                       std::span<const float> cell_m, std::span<const std::byte> spatial_grid);
+
+  std::span<const std::string> warnings() const;  // a line each
 
  private:
   struct State;

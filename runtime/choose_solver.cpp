@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 namespace ff::runtime {
@@ -21,13 +20,15 @@ std::string settingsPath(const std::string& world_path) {
   return path.string() + ".settings.json";
 }
 
-Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path) {
+Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path, formats::Storage& storage) {
   const std::string path = settingsPath(world_path);
-  std::error_code error;
-  if (!std::filesystem::exists(path, error)) return std::optional<SolverChoice>();
-  std::ifstream in(path, std::ios::binary);
-  if (!in) return Error{ErrorCode::kIo, path, "", "cannot be opened", "check its permissions"};
-  const nlohmann::json json = nlohmann::json::parse(in, nullptr, false);
+  const auto there = storage.exists(path);
+  if (!there) return there.error();
+  if (!*there) return std::optional<SolverChoice>();
+  const auto bytes = formats::readWholeFile(storage, path);
+  if (!bytes) return bytes.error();
+  const nlohmann::json json = nlohmann::json::parse(reinterpret_cast<const char*>(bytes->data()),
+                                                    reinterpret_cast<const char*>(bytes->data() + bytes->size()), nullptr, false);
   if (json.is_discarded() || !json.is_object()) return wrong(path, "", "is no JSON object");
   SolverChoice choice;
   choice.why = "recommended in " + path;

@@ -3,6 +3,7 @@
 #include <optional>
 #include <string>
 
+#include "formats/storage.h"
 #include "runtime/dense/bounce_matrix.h"
 #include "runtime/local_matrix.h"
 
@@ -27,7 +28,8 @@ std::string settingsPath(const std::string& world_path);
 
 // The choice stored beside a world (runtime/README.md has the keys); nothing where there is no such file. Errors: kIo;
 // kInvalidFile where it is no JSON object or a value has no meaning. Keys that are not known are ignored.
-Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path);
+Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path,
+                                                       formats::Storage& storage = *formats::posixStorage());
 
 inline constexpr uint32_t kMostDenseLeaves = 4096;
 

@@ -1,5 +1,5 @@
-// One strip on its way from a shard: where the rest of it lies, and what became of it. Shared by the sources that read
-// files. Not thread-safe; one owner at a time.
+// One strip on its way from a shard through io_uring: where the rest of it lies, and what became of it. Not thread-safe; one
+// owner at a time.
 #pragma once
 #include <cerrno>
 #include <cstddef>
@@ -34,10 +34,9 @@ class FileRequest {
   Result<std::vector<std::byte>> take() {
     if (failure_ == 0) return std::move(bytes_);
     return Error{
-        ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()),
-        failure_ == kEndOfFile ? "the shard ends within a strip" : std::string("read: ") + std::strerror(failure_),
-        failure_ == kEndOfFile ? "the file was truncated after it was opened; bake or copy it again"
-                               : "check the disk"};
+        failure_ == kEndOfFile ? ErrorCode::kInvalidFile : ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()),
+        failure_ == kEndOfFile ? "the file ends here" : std::string("read: ") + std::strerror(failure_),
+        failure_ == kEndOfFile ? "restore this file from a copy, or bake again" : "check the disk"};
   }
 
  private:

@@ -1,16 +1,9 @@
 #include "stream/file_source.h"
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include <cerrno>
 #include <condition_variable>
-#include <cstring>
 #include <deque>
 #include <mutex>
 #include <thread>
-
-#include "stream/file_request.h"
 
 namespace ff::stream {
 namespace {
@@ -61,14 +54,9 @@ class ThreadSource final : public TileSource {
   }
 
   Result<std::vector<std::byte>> readBlocking(formats::TileId id) const {
-    FileRequest request(world_, id);
-    while (!request.finished()) {
-      const ssize_t got = pread(request.descriptor(), request.remaining().data(), request.remaining().size(),
-                                static_cast<off_t>(request.offset()));
-      if (got < 0 && errno == EINTR) continue;
-      request.advance(got < 0 ? -errno : got);
-    }
-    return request.take();
+    std::vector<std::byte> bytes(world_.tiles(id.level)[id.tile].stored_bytes);
+    if (auto ok = world_.readStored(id, bytes); !ok) return ok.error();
+    return bytes;
   }
 
   const formats::World& world_;

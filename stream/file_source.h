@@ -1,5 +1,5 @@
-// Reads stored strips from a world's shards. Two implementations behind one interface: io_uring, and a few threads with
-// pread() for kernels and containers that refuse io_uring.
+// Reads stored strips from a world's shards. Two implementations behind one interface: io_uring, and a few threads that read
+// through the world's storage, for kernels and containers that refuse io_uring and for storage that is not files.
 #pragma once
 #include <memory>
 
@@ -8,11 +8,11 @@
 
 namespace ff::stream {
 
-// Each lives on the descriptors of `world`, which must outlive it. Destruction waits for what is in flight.
+// Each lives on the files of `world`, which must outlive it. Destruction waits for what is in flight.
 
 // io_uring if this kernel lets us, else threads.
 std::unique_ptr<TileSource> makeFileSource(const formats::World& world);
-// kIo where the kernel refuses io_uring or its read operation.
+// kIo where the kernel refuses io_uring or its read operation, or the world's files have no descriptors.
 Result<std::unique_ptr<TileSource>> makeUringSource(const formats::World& world);
 std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int threads = 4);
 

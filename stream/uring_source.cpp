@@ -147,6 +147,8 @@ class UringSource final : public TileSource {
 }  // namespace
 
 Result<std::unique_ptr<TileSource>> makeUringSource(const formats::World& world) {
+  for (const formats::ShardInfo& shard : world.shards())
+    if (shard.descriptor < 0) return Error{ErrorCode::kIo, shard.name, "io_uring", "the world's storage has no descriptors", "read with threads"};
   auto source = std::make_unique<UringSource>(world);
   if (auto started = source->start(); !started) return started.error();
   return std::unique_ptr<TileSource>(std::move(source));

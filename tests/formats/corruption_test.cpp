@@ -45,10 +45,12 @@ class Corruption : public testing::Test {
     const auto written = writeWorld(makeRandomWorld(smallWorld()), manifest(), 1 << 28);
     ASSERT_TRUE(written) << written.error().line();
     ASSERT_TRUE(readEverything(manifest()));
+    rows_ = shardOf(manifest());
+    geometry_ = shardOf(manifest(), true);
   }
   std::string manifest() const { return folder_.file("w.ffm"); }
-  std::string rows() const { return folder_.file("w.0000.ffs"); }
-  std::string geometry() const { return folder_.file("w.geometry.0000.ffs"); }
+  const std::string& rows() const { return rows_; }
+  const std::string& geometry() const { return geometry_; }
   void expectRefused(const std::string& what) {
     const auto read = readEverything(manifest());
     ASSERT_FALSE(read) << what;
@@ -57,6 +59,7 @@ class Corruption : public testing::Test {
     EXPECT_FALSE(read.error().remedy.empty()) << what << ": " << read.error().line();
   }
   TemporaryFolder folder_;
+  std::string rows_, geometry_;
 };
 
 TEST_F(Corruption, EveryChangedByteIsNoticed) {
@@ -161,7 +164,7 @@ TEST_F(Corruption, AStripLeftOverFromAnotherBakeIsNoticed) {
   other.strips[0][1].nodes[0].area_m2 += 1;
   other.info.seed = 99;
   ASSERT_TRUE(writeWorld(other, folder_.file("other.ffm"), 1 << 28));
-  const std::vector<std::byte> old_rows = readFile(folder_.file("other.0000.ffs"));
+  const std::vector<std::byte> old_rows = readFile(shardOf(folder_.file("other.ffm")));
   ASSERT_EQ(old_rows.size(), readFile(rows()).size());
   writeFile(rows(), old_rows);
   expectRefused("shard of another bake");
@@ -179,7 +182,7 @@ TEST_F(Corruption, ASingleStaleStripIsNoticed) {
   ASSERT_EQ(a.offset, b.offset);
   ASSERT_EQ(a.stored_bytes, b.stored_bytes);
   std::vector<std::byte> bytes = readFile(rows());
-  const std::vector<std::byte> stale = readFile(folder_.file("other.0000.ffs"));
+  const std::vector<std::byte> stale = readFile(shardOf(folder_.file("other.ffm")));
   const auto begin = stale.begin() + static_cast<std::ptrdiff_t>(b.offset);
   std::copy_n(begin, b.stored_bytes, bytes.begin() + static_cast<std::ptrdiff_t>(a.offset));
   writeFile(rows(), bytes);

@@ -9,6 +9,7 @@
 #include <numeric>
 #include <random>
 
+#include "formats/reader.h"
 #include "formats/writer.h"
 
 namespace ff::formats {
@@ -181,8 +182,9 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
   return w;
 }
 
-Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes) {
-  auto writer = WorldWriter::create(path, shard_bytes);
+Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes, const StoragePtr& storage,
+                        std::vector<std::string>* warnings) {
+  auto writer = WorldWriter::create(path, shard_bytes, storage);
   if (!writer) return writer.error();
   for (size_t level = world.strips.size(); level-- > 0;)
     for (size_t tile = 0; tile < world.strips[level].size(); ++tile) {
@@ -192,7 +194,17 @@ Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint6
     }
   for (const TileGeometry& g : world.geometry)
     if (auto ok = writer->addGeometry(g); !ok) return ok;
-  return writer->finish(world.info, world.parents, world.cell_m, world.grid);
+  auto finished = writer->finish(world.info, world.parents, world.cell_m, world.grid);
+  if (warnings) warnings->assign(writer->warnings().begin(), writer->warnings().end());
+  return finished;
+}
+
+std::string shardOf(const std::string& path, bool geometry) {
+  const auto world = World::open(path);
+  if (world)
+    for (const ShardInfo& shard : world->shards())
+      if (shard.geometry == geometry) return folderOf(path) + shard.name;
+  return "no shard";
 }
 
 TemporaryFolder::TemporaryFolder() {

@@ -7,6 +7,7 @@
 
 #include "formats/layout.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::formats {
 
@@ -31,7 +32,10 @@ struct RandomWorld {
 };
 
 RandomWorld makeRandomWorld(const RandomWorldSettings& settings);
-Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes);
+Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes,
+                        const StoragePtr& storage = posixStorage(), std::vector<std::string>* warnings = nullptr);
+// Path of the first shard of a kind, of a world that can be opened.
+std::string shardOf(const std::string& path, bool geometry = false);
 
 // A fresh folder that is removed at the end of the test.
 class TemporaryFolder {

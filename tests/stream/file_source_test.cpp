@@ -7,6 +7,7 @@
 #include <mutex>
 #include <thread>
 
+#include "formats/memory_storage.h"
 #include "tests/stream/synthetic_world.h"
 
 namespace ff::stream {
@@ -96,8 +97,8 @@ TEST_P(FileSource, ReportsAStripThatLiesPastTheEndOfAShrunkenShard) {
   collector.await(1);
   const auto& bytes = collector.arrived.begin()->second;
   ASSERT_FALSE(bytes);
-  EXPECT_EQ(bytes.error().code, ErrorCode::kIo);
-  EXPECT_NE(bytes.error().line().find("ends within a strip"), std::string::npos) << bytes.error().line();
+  EXPECT_EQ(bytes.error().code, ErrorCode::kInvalidFile);
+  EXPECT_NE(bytes.error().line().find("the file ends here"), std::string::npos) << bytes.error().line();
 }
 
 TEST_P(FileSource, AnswersEverythingBeforeItsDestructionEnds) {
@@ -127,6 +128,24 @@ TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
   for (std::thread& thread : threads) thread.join();
   collector.await(200);
   for (const auto& [id, bytes] : collector.arrived) ASSERT_TRUE(bytes);
+}
+
+TEST(FileSourceOfMemory, ReadsWithThreads) {
+  const auto memory = std::make_shared<formats::MemoryStorage>();
+  ASSERT_TRUE(formats::writeWorld(makeSyntheticWorld({}), "world.ffm", 20000, memory));
+  const auto world = formats::World::open("world.ffm", memory);
+  ASSERT_TRUE(world) << world.error().line();
+  EXPECT_FALSE(makeUringSource(*world));
+  const auto source = makeFileSource(*world);
+  EXPECT_STREQ(source->name(), "threads");
+  Collector collector;
+  const formats::TileInfo& tile = world->tiles(0).front();
+  source->read(tile.id, collector.callback());
+  collector.await(1);
+  const auto& bytes = collector.arrived.begin()->second;
+  ASSERT_TRUE(bytes) << bytes.error().line();
+  formats::Strip strip;
+  EXPECT_TRUE(world->decodeStrip(tile.id, *bytes, strip));
 }
 
 INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"),

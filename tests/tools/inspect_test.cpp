@@ -78,9 +78,10 @@ TEST_F(Inspect, NamesStripAndOffsetOfAChangedByte) {
   auto w = World::open(world());
   ASSERT_TRUE(w);
   const TileInfo tile = w->tiles(0)[1];
-  std::vector<std::byte> bytes = readFile(folder_.file("f.0000.ffs"));
+  const std::string shard = shardOf(world());
+  std::vector<std::byte> bytes = readFile(shard);
   bytes[tile.offset + tile.stored_bytes / 2] ^= std::byte{1};
-  writeFile(folder_.file("f.0000.ffs"), bytes);
+  writeFile(shard, bytes);
   const Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 3) << run.text;
   EXPECT_NE(run.text.find("strip 0:1 at offset " + std::to_string(tile.offset)), std::string::npos) << run.text;

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <fstream>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <vector>
 
+#include "formats/storage.h"
 #include "runtime/choose_solver.h"
 #include "tools/chart/page/figure_text.h"
 #include "tools/chart/page/front.h"
@@ -97,13 +97,9 @@ Result<std::string> writeRecommendation(const std::string& world_path, const Rep
   for (const Accuracy& a : s.accuracy)
     if (std::isfinite(a.rel_l2.value)) measured["rel_l2"][a.light] = a.rel_l2.value;
 
-  const std::string part = path + ".part";
-  std::ofstream out(part, std::ios::binary | std::ios::trunc);
-  out << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << "\n";
-  out.close();
-  if (out && std::rename(part.c_str(), path.c_str()) == 0) return path;
-  std::remove(part.c_str());
-  return Error{ErrorCode::kIo, path, "", "cannot be written", "check the folder's permissions and free space"};
+  const std::string text = json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+  if (auto ok = formats::writeWholeFile(*formats::posixStorage(), path, std::as_bytes(std::span(text))); !ok) return ok.error();
+  return path;
 }
 
 }  // namespace ff::chart

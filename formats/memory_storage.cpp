@@ -1,0 +1,124 @@
+#include "formats/memory_storage.h"
+
+#include <algorithm>
+
+namespace ff::formats {
+namespace {
+
+std::string plain(std::string path) {
+  while (path.starts_with("./")) path.erase(0, 2);
+  return path;
+}
+
+Error absent(const std::string& path) { return {ErrorCode::kIo, path, "", "there is no such file in memory", ""}; }
+
+class MemoryFile final : public StoredFile {
+ public:
+  MemoryFile(std::string path, std::shared_ptr<const std::vector<std::byte>> bytes) : path_(std::move(path)), bytes_(std::move(bytes)) {}
+  uint64_t bytes() const override { return bytes_->size(); }
+  Result<void> read(uint64_t offset, std::span<std::byte> out) const override {
+    if (offset > bytes_->size() || out.size() > bytes_->size() - offset)
+      return Error{ErrorCode::kInvalidFile, path_, "offset " + std::to_string(bytes_->size()), "the file ends here",
+                   "restore this file from a copy, or bake again"};
+    std::copy_n(bytes_->begin() + static_cast<std::ptrdiff_t>(offset), out.size(), out.begin());
+    return {};
+  }
+
+ private:
+  std::string path_;
+  std::shared_ptr<const std::vector<std::byte>> bytes_;
+};
+
+}  // namespace
+
+class MemoryNewFile final : public NewFile {
+ public:
+  MemoryNewFile(MemoryStorage& storage, std::shared_ptr<MemoryStorage::Inode> inode) : storage_(storage), inode_(std::move(inode)) {}
+  Result<void> append(std::span<const std::byte> data) override {
+    const std::lock_guard lock(storage_.mutex_);
+    auto longer = std::make_shared<MemoryStorage::Bytes>(*inode_->bytes);  // who reads keeps what was there
+    longer->insert(longer->end(), data.begin(), data.end());
+    inode_->bytes = std::move(longer);
+    return {};
+  }
+  Result<void> sync() override {
+    const std::lock_guard lock(storage_.mutex_);
+    inode_->synced = inode_->bytes;
+    return {};
+  }
+
+ private:
+  MemoryStorage& storage_;
+  std::shared_ptr<MemoryStorage::Inode> inode_;
+};
+
+Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path) {
+  const std::lock_guard lock(mutex_);
+  const auto found = names_.find(plain(path));
+  if (found == names_.end()) return absent(path);
+  return std::unique_ptr<StoredFile>(std::make_unique<MemoryFile>(path, found->second->bytes));
+}
+
+Result<std::unique_ptr<NewFile>> MemoryStorage::create(const std::string& path) {
+  const std::lock_guard lock(mutex_);
+  std::shared_ptr<Inode>& inode = names_[plain(path)];
+  if (!inode) inode = std::make_shared<Inode>();
+  inode->bytes = std::make_shared<Bytes>();
+  return std::unique_ptr<NewFile>(std::make_unique<MemoryNewFile>(*this, inode));
+}
+
+Result<void> MemoryStorage::rename(const std::string& from, const std::string& to) {
+  const std::lock_guard lock(mutex_);
+  const auto found = names_.find(plain(from));
+  if (found == names_.end()) return absent(from);
+  std::shared_ptr<Inode> inode = found->second;
+  names_.erase(found);
+  newest_ = plain(to);
+  names_[newest_] = std::move(inode);
+  return {};
+}
+
+Result<void> MemoryStorage::remove(const std::string& path) {
+  const std::lock_guard lock(mutex_);
+  if (names_.erase(plain(path)) == 0) return absent(path);
+  return {};
+}
+
+Result<bool> MemoryStorage::exists(const std::string& path) {
+  const std::lock_guard lock(mutex_);
+  return names_.contains(plain(path));
+}
+
+Result<bool> MemoryStorage::syncFolder(const std::string& folder) {
+  const std::lock_guard lock(mutex_);
+  const auto inside = [&](const auto& name) { return plain(folderOf(name.first)) == plain(folder); };
+  std::erase_if(synced_names_, inside);
+  for (const auto& name : names_)
+    if (inside(name)) synced_names_.insert(name);
+  newest_.clear();
+  return true;
+}
+
+Result<std::vector<std::string>> MemoryStorage::list(const std::string& folder) {
+  const std::lock_guard lock(mutex_);
+  std::vector<std::string> names;
+  for (const auto& [path, inode] : names_)
+    if (plain(folderOf(path)) == plain(folder)) names.push_back(fileNameOf(path));
+  return names;
+}
+
+std::shared_ptr<MemoryStorage> MemoryStorage::afterPowerCut(Unsynced unsynced) const {
+  const std::lock_guard lock(mutex_);
+  auto left = std::make_shared<MemoryStorage>();
+  Names names = unsynced == Unsynced::kNamesKept ? names_ : synced_names_;
+  if (unsynced == Unsynced::kNewestNameKept && names_.contains(newest_)) names[newest_] = names_.at(newest_);
+  for (const auto& [path, inode] : names) {
+    auto kept = std::make_shared<Inode>();
+    kept->bytes = kept->synced = inode->synced;
+    left->names_[path] = std::move(kept);
+  }
+  left->synced_names_ = left->names_;
+  return left;
+}
+
+}  // namespace ff::formats

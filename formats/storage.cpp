@@ -1,0 +1,37 @@
+#include "formats/storage.h"
+
+namespace ff::formats {
+
+std::string folderOf(const std::string& path) {
+  const size_t slash = path.rfind('/');
+  return slash == std::string::npos ? "./" : path.substr(0, slash + 1);
+}
+
+std::string fileNameOf(const std::string& path) { return path.substr(path.rfind('/') + 1); }
+
+Result<std::vector<std::byte>> readWholeFile(Storage& storage, const std::string& path) {
+  auto file = storage.open(path);
+  if (!file) return file.error();
+  std::vector<std::byte> bytes((*file)->bytes());
+  if (auto ok = (*file)->read(0, bytes); !ok) return ok.error();
+  return bytes;
+}
+
+Result<void> writeWholeFile(Storage& storage, const std::string& path, std::span<const std::byte> bytes) {
+  const std::string part = path + ".part";
+  const auto write = [&]() -> Result<void> {
+    auto file = storage.create(part);
+    if (!file) return file.error();
+    if (auto ok = (*file)->append(bytes); !ok) return ok;
+    if (auto ok = (*file)->sync(); !ok) return ok;
+    return storage.rename(part, path);
+  };
+  if (auto ok = write(); !ok) {
+    (void)storage.remove(part);
+    return ok;
+  }
+  const auto synced = storage.syncFolder(folderOf(path));
+  return synced ? Result<void>{} : synced.error();
+}
+
+}  // namespace ff::formats

@@ -1,0 +1,68 @@
+// Where a world's files lie: all reading and writing of manifests, shards and settings goes through here. POSIX files, files
+// in memory, and (in tests) a faulty one. Paths are whole paths with '/'.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "formats/result.h"
+
+namespace ff::formats {
+
+// Open for reading until it is destroyed, whatever becomes of its name.
+class StoredFile {
+ public:
+  virtual ~StoredFile() = default;
+  virtual uint64_t bytes() const = 0;  // when it was opened
+  // Fills `out` from `offset` on. Thread-safe. Errors name the file and the offset: kIo; kInvalidFile where the file ends early.
+  virtual Result<void> read(uint64_t offset, std::span<std::byte> out) const = 0;
+  // For those who read with means of their own (io_uring); -1: there is none.
+  virtual int descriptor() const { return -1; }
+};
+
+// Open for writing; grows at its end. Not thread-safe.
+class NewFile {
+ public:
+  virtual ~NewFile() = default;
+  virtual Result<void> append(std::span<const std::byte> data) = 0;
+  // What was appended survives a power cut from here on; its name needs Storage::syncFolder().
+  virtual Result<void> sync() = 0;
+};
+
+// Thread-safe. Errors name the path: kIo.
+class Storage {
+ public:
+  virtual ~Storage() = default;
+  // Regular files only.
+  virtual Result<std::unique_ptr<StoredFile>> open(const std::string& path) = 0;
+  // Empties a file that is there.
+  virtual Result<std::unique_ptr<NewFile>> create(const std::string& path) = 0;
+  // In one step; takes the place of a file that is there.
+  virtual Result<void> rename(const std::string& from, const std::string& to) = 0;
+  virtual Result<void> remove(const std::string& path) = 0;
+  // Names come, went and changed in the folder survive a power cut from here on. Where a file system has no such thing
+  // (some that are on a network or in user space), does nothing and says false.
+  virtual Result<bool> syncFolder(const std::string& folder) = 0;
+  virtual Result<bool> exists(const std::string& path) = 0;
+  // Names of the files in a folder, ascending.
+  virtual Result<std::vector<std::string>> list(const std::string& folder) = 0;
+  // Whether files can be made there.
+  virtual Result<void> checkWritable(const std::string& folder) = 0;
+};
+
+using StoragePtr = std::shared_ptr<Storage>;
+StoragePtr posixStorage();
+
+// "out/" of "out/town.ffm"; "./" where the path has no folder.
+std::string folderOf(const std::string& path);
+std::string fileNameOf(const std::string& path);
+
+Result<std::vector<std::byte>> readWholeFile(Storage& storage, const std::string& path);
+// Under a temporary name, synced, renamed, its folder synced: afterwards there is all of it, and before there is what was there.
+Result<void> writeWholeFile(Storage& storage, const std::string& path, std::span<const std::byte> bytes);
+
+}  // namespace ff::formats
