@@ -1,5 +1,7 @@
 #include "formats/shard.h"
 
+#include <cmath>
+
 #include "formats/checksum.h"
 
 namespace ff::formats {
@@ -78,7 +80,8 @@ Result<OpenShard> openShard(Storage& storage, const std::string& path, const Sha
       return broken(path, at, "index record names bytes outside the strips");
     if (x.raw_bytes > kMaxStripRawBytes) return broken(path, at, "index record names an impossible size");
     if (x.level >= kMaxLevels) return broken(path, at, "index record names an impossible level");
-    if (x.bounds.empty()) return broken(path, at, "index record has empty bounds");
+    if (x.bounds.empty() || !std::isfinite(length(x.bounds.hi - x.bounds.lo)) || !std::isfinite(length(x.bounds.lo)))
+      return broken(path, at, "index record has bounds that cannot be");
     next += x.stored_bytes;
     ShardEntry& e = shard.entries.emplace_back();
     e.info.id = {x.level, x.tile};

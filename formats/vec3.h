@@ -35,7 +35,7 @@ inline Vec3 normalized(Vec3 a) {
 struct Box {
   Vec3 lo{1e30f, 1e30f, 1e30f}, hi{-1e30f, -1e30f, -1e30f};
 
-  bool empty() const { return lo.x > hi.x; }
+  bool empty() const { return !(lo.x <= hi.x && lo.y <= hi.y && lo.z <= hi.z); }  // of NaN: true
   void add(Vec3 p) { lo = ff::min(lo, p); hi = ff::max(hi, p); }
   void add(const Box& b) { lo = ff::min(lo, b.lo); hi = ff::max(hi, b.hi); }
   // Distance from p to the box, 0 inside. Units of the coordinates.

@@ -43,9 +43,9 @@ Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_
   else if (solver != "gather")
     return wrong(path, "solver", "is not gather, multibounce or seed");
   if (json.contains("storage")) {
-    const std::string storage = text("storage");
-    if (storage != "fp32" && storage != "fp16") return wrong(path, "storage", "is not fp32 or fp16");
-    if (storage == "fp16") choice.storage = Storage::kFloat16;
+    const std::string kept_as = text("storage");
+    if (kept_as != "fp32" && kept_as != "fp16") return wrong(path, "storage", "is not fp32 or fp16");
+    if (kept_as == "fp16") choice.storage = Storage::kFloat16;
   }
   if (const auto at = json.find("luminance"); at != json.end()) {
     if (!at->is_boolean()) return wrong(path, "luminance", "is not true or false");

@@ -57,18 +57,6 @@ Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const Formfiel
   return choice;
 }
 
-// Copies as many bytes as both sides know; what the caller's structure does not have keeps its default.
-template <class Settings>
-Result<void> takeSettings(const Settings* given, Settings& out) {
-  if (!given) return {};
-  if (given->size < sizeof(uint32_t) || given->size > sizeof(Settings))
-    return usageError("size", "is not that of this structure", "set it to sizeof, or use the function for the defaults");
-  const uint32_t size = sizeof(Settings);
-  std::copy_n(reinterpret_cast<const std::byte*>(given), given->size, reinterpret_cast<std::byte*>(&out));
-  out.size = size;
-  return {};
-}
-
 // The other way: fills in as much of the caller's structure as it has.
 template <class Report>
 Result<void> giveReport(const Report& report, Report* out) {

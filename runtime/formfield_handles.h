@@ -1,5 +1,6 @@
 // What is behind the handles of formfield.h. Internal: formfield.cpp and formfield_vulkan.cpp.
 #pragma once
+#include <algorithm>
 #include <array>
 #include <memory>
 #include <new>
@@ -139,6 +140,18 @@ FormfieldResult guarded(std::string& line, Call&& call) noexcept {
 
 inline Error usageError(const char* place, const char* message, const char* remedy = "") {
   return {ErrorCode::kUsage, "", place, message, remedy};
+}
+
+// Copies as many bytes as both sides know; what the caller's structure does not have keeps its default.
+template <class Settings>
+Result<void> takeSettings(const Settings* given, Settings& out) {
+  if (!given) return {};
+  if (given->size < sizeof(uint32_t) || given->size > sizeof(Settings))
+    return usageError("size", "is not that of this structure", "set it to sizeof, or use the function for the defaults");
+  const uint32_t size = sizeof(Settings);
+  std::copy_n(reinterpret_cast<const std::byte*>(given), given->size, reinterpret_cast<std::byte*>(&out));
+  out.size = size;
+  return {};
 }
 
 }  // namespace ff::runtime

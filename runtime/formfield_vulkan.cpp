@@ -176,8 +176,7 @@ FormfieldResult formfieldCreateVulkanDevice(const FormfieldVulkanSettings* setti
     if (!device) return usageError("device", "is NULL");
     *device = nullptr;
     FormfieldVulkanSettings s{};
-    if (settings && settings->size != sizeof(s)) return usageError("size", "is not sizeof(FormfieldVulkanSettings)");
-    if (settings) s = *settings;
+    if (auto taken = takeSettings(settings, s); !taken) return taken;
     if (s.frames_in_flight > 16) return usageError("frames_in_flight", "are more than 16", "2 or 3 are usual");
     auto context = contextOf(s);
     if (!context) return context.error();

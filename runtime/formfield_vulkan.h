@@ -12,7 +12,7 @@ extern "C" {
 #endif
 
 typedef struct FormfieldVulkanSettings {
-  uint32_t size; /* sizeof(FormfieldVulkanSettings) */
+  uint32_t size; /* sizeof(FormfieldVulkanSettings); what a smaller, older structure does not have is 0 */
   /* The caller's device, all four and queue_family; or all null: one of our own. Instance and device of version 1.2 or
    * newer, timelineSemaphore enabled, the queue able to compute. The caller does not use the queue while formfieldFrame,
    * formfieldSettle, formfieldOpenWorld or formfieldCloseWorld run, and destroys the device after ours. */

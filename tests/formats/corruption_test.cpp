@@ -106,6 +106,34 @@ TEST_F(Corruption, TrailingBytesAreNoticed) {
   }
 }
 
+// With every checksum right.
+TEST_F(Corruption, BoundsThatCannotBeAreRefusedOnEveryAxis) {
+  const RandomWorld w = makeRandomWorld(smallWorld());
+  const auto openWith = [&](int axis, bool low, float value) -> Result<void> {
+    const std::string path = folder_.file("odd.ffm");
+    auto writer = WorldWriter::create(path);
+    for (size_t level = w.strips.size(); level-- > 0;)
+      for (size_t tile = 0; tile < w.strips[level].size(); ++tile) {
+        auto strip = encodeStrip(w.strips[level][tile], w.bounds[level][tile]);
+        if (level == 0 && tile == 1) (low ? strip->info.bounds.lo : strip->info.bounds.hi)[axis] = value;
+        EXPECT_TRUE(writer->addStrip(std::move(*strip)));
+      }
+    EXPECT_TRUE(writer->finish(w.info, w.parents, w.cell_m, w.grid));
+    const auto world = World::open(path);
+    return world ? Result<void>{} : world.error();
+  };
+  const float infinity = std::numeric_limits<float>::infinity();
+  for (int axis = 0; axis < 3; ++axis) {
+    EXPECT_TRUE(openWith(axis, true, w.bounds[0][1].lo[axis]));
+    for (const bool low : {false, true})
+      for (const float value : {std::numeric_limits<float>::quiet_NaN(), low ? -infinity : infinity, low ? 1e20f : -1e20f}) {
+        const auto opened = openWith(axis, low, value);
+        ASSERT_FALSE(opened) << "axis " << axis << ", " << value;
+        EXPECT_NE(opened.error().line().find("bounds that cannot be"), std::string::npos) << opened.error().line();
+      }
+  }
+}
+
 TEST_F(Corruption, AMissingShardIsAnInputError) {
   std::filesystem::remove(rows());
   const auto read = readEverything(manifest());

@@ -102,6 +102,20 @@ TEST_F(FormfieldVulkan, GivesTheLightOfTheCpu) {
   }
 }
 
+TEST_F(FormfieldVulkan, TakesASmallerOlderStructureAndRefusesALargerOne) {
+  FormfieldVulkanSettings s{};
+  s.size = offsetof(FormfieldVulkanSettings, validate);
+  s.device_name = "cpu";
+  s.frames_in_flight = 99;  // past the older structure's end
+  const FormfieldResult made = formfieldCreateVulkanDevice(&s, &device_);
+  if (made != FORMFIELD_OK && made != FORMFIELD_ERROR_USAGE) GTEST_SKIP() << formfieldError(nullptr);
+  ASSERT_EQ(made, FORMFIELD_OK) << formfieldError(nullptr);
+  FormfieldDevice none = nullptr;
+  s.size = sizeof(s) + 8;
+  EXPECT_EQ(formfieldCreateVulkanDevice(&s, &none), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(none, nullptr);
+}
+
 class FormfieldVulkanRecords : public FormfieldVulkan, public testing::WithParamInterface<FormfieldSolver> {};
 INSTANTIATE_TEST_SUITE_P(Solvers, FormfieldVulkanRecords,
                          testing::Values(FORMFIELD_SOLVER_GATHER, FORMFIELD_SOLVER_MULTIBOUNCE), [](const auto& each) {
