@@ -347,6 +347,55 @@ TEST(Import, DecodesDracoMeshesOfBothMethods) {
   }
 }
 
+// Colours that tell where a vertex is: red x, green y; as floats, bytes and words, with alpha or without, called normalised by Draco's
+// own flag as well or by the accessor alone.
+TEST(Import, ReadsVertexColoursFromDracoData) {
+  const TempFolder folder;
+  const auto encode = [](auto one, draco::DataType type, int channels, bool flagged) {
+    using T = decltype(one);
+    draco::TriangleSoupMeshBuilder builder;
+    builder.Start(2);
+    const int position = builder.AddAttribute(draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32);
+    const int color = builder.AddAttribute(draco::GeometryAttribute::COLOR, static_cast<int8_t>(channels), type, flagged);
+    const std::array<std::array<float, 3>, 4> c = {{{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}}};
+    for (uint32_t f = 0; f < 2; ++f) {
+      std::array<std::array<T, 4>, 3> colors;
+      const std::array<size_t, 3> pick = f ? std::array<size_t, 3>{0, 2, 3} : std::array<size_t, 3>{0, 1, 2};
+      for (size_t k = 0; k < 3; ++k)
+        colors[k] = {static_cast<T>(c[pick[k]][0] * static_cast<float>(one)), static_cast<T>(c[pick[k]][1] * static_cast<float>(one)), one,
+                     static_cast<T>(static_cast<float>(one) * 0.2f)};
+      builder.SetAttributeValuesForFace(position, draco::FaceIndex(f), c[pick[0]].data(), c[pick[1]].data(), c[pick[2]].data());
+      builder.SetAttributeValuesForFace(color, draco::FaceIndex(f), colors[0].data(), colors[1].data(), colors[2].data());
+    }
+    const auto mesh = builder.Finalize();
+    draco::EncoderBuffer buffer;
+    EXPECT_TRUE(draco::Encoder().EncodeMeshToBuffer(*mesh, &buffer).ok());
+    DracoGrid grid{{buffer.data(), buffer.size()}, mesh->num_points(), mesh->num_faces(),
+                   static_cast<int>(mesh->attribute(position)->unique_id()), static_cast<int>(mesh->attribute(color)->unique_id())};
+    GltfFile file = dracoFile(grid);
+    auto& attributes = file.primitive()["extensions"]["KHR_draco_mesh_compression"]["attributes"];
+    file.primitive()["attributes"] = {{"POSITION", 0}, {"COLOR_0", 2}};
+    attributes = {{"POSITION", grid.position_id}, {"COLOR_0", grid.uv_id}};
+    auto& accessor = file.json["accessors"][2];
+    accessor["type"] = "VEC" + std::to_string(channels);
+    accessor["componentType"] = type == draco::DT_FLOAT32 ? 5126 : type == draco::DT_UINT8 ? 5121 : 5123;
+    if (std::is_integral_v<T>) accessor["normalized"] = true;
+    return file;
+  };
+  for (const int channels : {3, 4})
+    for (GltfFile& file : std::array{encode(1.0f, draco::DT_FLOAT32, channels, false), encode(uint8_t{255}, draco::DT_UINT8, channels, true),
+                                     encode(uint8_t{255}, draco::DT_UINT8, channels, false), encode(uint16_t{65535}, draco::DT_UINT16, channels, false)}) {
+      const Scene scene = importGood(file.save(folder, "c.glb"));
+      ASSERT_EQ(scene.triangles.size(), 2u);
+      ASSERT_EQ(scene.colors.size(), scene.positions.size());
+      for (size_t v = 0; v < scene.positions.size(); ++v) {
+        const Rgba& c = scene.colors[v];
+        expectNear(c.rgb(), {scene.positions[v].x, scene.positions[v].y, 1}, 1e-6f);
+        EXPECT_NEAR(c.a, channels == 4 ? 0.2f : 1, 1e-5f);
+      }
+    }
+}
+
 TEST(Import, RefusesDracoDataCutAtEveryLength) {
   const TempFolder folder;
   const DracoGrid whole = encodeGrid(4, draco::MESH_EDGEBREAKER_ENCODING);

@@ -69,6 +69,25 @@ TEST(ImportLights, StandWhereTheirNodesStand) {
   }
 }
 
+// A file in centimetres: its lengths are, a light's range among them; its candela and lux are not.
+TEST(ImportLights, AreScaledInPlaceAndRangeByTheFilesUnit) {
+  const Json lights = Json::parse(R"([{"type": "point", "intensity": 5, "range": 300}, {"type": "spot"}, {"type": "directional", "intensity": 2}])");
+  const TempFolder folder;
+  const Json high = {{"translation", {100, 200, 300}}, {"scale", {7, 7, 7}}};
+  const auto scene = importGltf(fileWith(lights, {node(0, high), node(1, high), node(2, high)}).save(folder, "cm.glb"), {.scale = 0.01, .z_up = true});
+  ASSERT_TRUE(scene) << scene.error().line();
+  ASSERT_EQ(scene->lights.size(), 3u);
+  const Vec3 down{0, -1, 0};  // -z of a file whose z is up
+  const Light point = scene->lights[0], spot = scene->lights[1], sun = scene->lights[2];
+  EXPECT_FLOAT_EQ(point.range_m, 3);
+  EXPECT_EQ(spot.range_m, 0) << "without end";
+  EXPECT_EQ(point.color_intensity, (Vec3{5, 5, 5}));
+  EXPECT_EQ(sun.color_intensity, (Vec3{2, 2, 2}));
+  EXPECT_FLOAT_EQ(spot.outer_angle, std::numbers::pi_v<float> / 4);
+  for (const Light& l : {point, spot}) expectNear(l.position, {1, 3, -2}, 1e-6f);
+  for (const Light& l : {spot, sun}) expectNear(l.direction, down, 1e-6f);
+}
+
 TEST(ImportLights, OfHiddenAndUnlistedNodesAreNotThere) {
   GltfFile file = fileWith(Json::parse(R"([{"type": "point"}])"), {node(0, {{"extensions", {{"KHR_node_visibility", {{"visible", false}}}}}}), node(0)});
   file.json["nodes"].push_back(node(0));  // in no scene
