@@ -120,15 +120,17 @@ float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, f
     return uv_area * static_cast<double>(scene.images[image].width) * static_cast<double>(scene.images[image].height) * share;
   };
   double wanted = 1;
-  if (base || glow) wanted = 4;
+  if (base) wanted = kLeastPoints;
+  if (glow) wanted = kLeastLampPoints;
   if (tinted && m.cutout) wanted = kMostPoints;
   if (base) wanted = std::max(wanted, std::min(texels(scene.uv0, m.base_image), kMostPoints));
   if (glow) wanted = std::max(wanted, std::min(texels(scene.uv1, m.emission_image), kMostLampPoints));
   const auto points = static_cast<uint32_t>(wanted);
   float solid = 0;
   Vec3 colour, light;
-  for (uint32_t i = 0; i < points; ++i) {
-    // R2 sequence: Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018. In units of 2^-32.
+  for (uint32_t i = 1; i <= points; ++i) {
+    // R2 sequence: Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018. In units of 2^-32. Its first point
+    // would lie on a side of the piece, which may be the border of two texels or of the picture.
     float u = static_cast<float>(0x80000000u + i * 3242174889u) * 0x1p-32f;
     float w = static_cast<float>(0x80000000u + i * 2447445414u) * 0x1p-32f;
     if (u + w > 1) {

@@ -83,6 +83,29 @@ TEST(SurfaceMean, VertexColoursMultiplyThePicture) {
   }
 }
 
+// Two texels: pieces whose sides lie on the border between them, or on the picture's, are of one colour, and of a piece across it no more
+// points are on the wrong side than fit along the border: of 16 and of 64 well spread ones one in eight, one in twenty.
+TEST(SurfaceMean, OfACoarsePictureIsThatOfTheTexelsThatAPieceLiesIn) {
+  for (Scene s : variants()) {
+    s.images.push_back({2, 1, {255, 255, 255, 255, 0, 0, 0, 255}});  // white where x < 1/2
+    s.materials[0].base_image = s.materials[0].emission_image = 0;
+    s.materials[0].emission = {1, 1, 1};
+    const Vec3 o = s.positions[0], x = s.positions[1] - o, y = s.positions[5] - o;
+    const uint32_t t = 0;
+    const auto means = [&](float from, float to) {
+      SurfaceMean mean(1);
+      mean.add(s, t, o + x * from + y * 0.1f, o + x * to + y * 0.1f, o + x * to + y * (to - 0.05f), 1);
+      return mean;
+    };
+    EXPECT_FLOAT_EQ(means(0.25f, 0.5f).albedo().x, 0.8f);
+    EXPECT_FLOAT_EQ(means(0.25f, 0.5f).emission().x, std::numbers::pi_v<float>);
+    EXPECT_EQ(means(0.6f, 1).albedo().x, 0);
+    EXPECT_EQ(means(0.6f, 1).emission().x, 0);
+    EXPECT_NEAR(meanOf(s).albedo().x, 0.8f / 2, 0.8f / 8);
+    EXPECT_NEAR(meanOf(s).emission().x, std::numbers::pi / 2, std::numbers::pi / 20);
+  }
+}
+
 // A lamp of 16 x 16 texels in a black picture of 512 x 512: the mean radiance is 1/1024 of the lamp's. About 256 of the
 // points meet it, on a border of 64: R2 puts fewer than one of three of them on the wrong side.
 TEST(SurfaceMean, FindsASmallLampInAPicture) {
