@@ -44,6 +44,19 @@ class GltfFile {
                               "meshes": [{"primitives": [{"attributes": {}}]}], "accessors": [], "bufferViews": []})");
   std::string bytes;
 
+  // Of a .glb.
+  static GltfFile load(const std::string& path) {
+    std::ifstream in(path, std::ios::binary);
+    const std::string all((std::istreambuf_iterator<char>(in)), {});
+    uint32_t json_bytes = 0;
+    std::memcpy(&json_bytes, all.data() + 12, 4);
+    GltfFile file;
+    file.json = Json::parse(all.substr(20, json_bytes));
+    file.json.erase("buffers");
+    file.bytes = all.substr(std::min<size_t>(all.size(), 28 + json_bytes));
+    return file;
+  }
+
   template <class T>
   int view(const std::vector<T>& values) {
     while (bytes.size() % 4) bytes += '\0';

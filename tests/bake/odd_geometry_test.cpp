@@ -4,7 +4,6 @@
 #include <algorithm>
 
 #include "bake/coincident.h"
-#include "bake/gltf_import.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {
@@ -256,16 +255,6 @@ TEST(OddGeometry, ChosenObjectsAreLeftOutOrOnlyBlockLight) {
   uint64_t absorbed = 0;
   for (const uint32_t hits : c.rows.absorbed) absorbed += hits;
   EXPECT_GT(absorbed, 0u);  // rays end on the lamp
-}
-
-TEST(OddGeometry, OfTheTrialsIsAsTheirTwins) {
-  const std::string folder = std::string(FF_SHARED_SCENES) + "/trials/";
-  for (const auto& [odd, twin] : {std::pair("duplamp2", "duplamp1"), {"dupr2", "dupr1"}, {"tworooms_zero2", "oneroom"}, {"dome_unlit", "nodome"}}) {
-    auto a = importGltf(folder + odd + ".glb"), b = importGltf(folder + twin + ".glb");
-    if (!a || !b) GTEST_SKIP() << folder << " is absent";
-    std::vector<std::string> notes;
-    expectSameLight(lightOf(*a, kVariants[0], notes), lightOf(*b, kVariants[0], notes), odd);
-  }
 }
 
 }  // namespace
