@@ -270,7 +270,7 @@ TEST_F(VkDenseStep, WithMoreLeavesThanPlacesItConvergesFasterThanGather) {
       EXPECT_EQ(solver->dense()->waiting, m.leaves.size() - places);
     }
     const double error = differenceOf(m, engine.radiosity(), truth);
-    EXPECT_LT(error, 0.95 * before) << places << " places";
+    EXPECT_LT(error, 0.98 * before) << places << " places";  // a tenth of the leaves: little, but not nothing
     before = error;
     engine.frames(150);
     EXPECT_LE(differenceOf(m, engine.radiosity(), truth), kRounding) << places << " places";
