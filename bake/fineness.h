@@ -16,6 +16,8 @@ inline int finenessOf(float density) {
   return std::clamp(static_cast<int>(std::lround(std::log2(density))), -kMostFineness, kMostFineness);
 }
 
+inline int finenessOf(const Scene& scene, uint32_t triangle) { return finenessOf(scene.materials[scene.triangles[triangle].material].density); }
+
 // An own cell's edge and face, in base cells.
 inline double edgeCells(int fineness) { return fineness > 0 ? 1.0 / (1 << fineness) : 1 << -fineness; }
 inline double faceCells(int fineness) { return edgeCells(fineness) * edgeCells(fineness); }

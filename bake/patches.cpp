@@ -67,7 +67,11 @@ class PatchBuilder {
     // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
     double bound = 0;
     const double s = static_cast<double>(settings_.cell_m);
-    for (uint32_t t = 0; t < n; ++t) bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s * faceCells(finenessOf(scene_.materials[scene_.triangles[t].material].density)));
+    set_.fineness_.resize(n);
+    for (uint32_t t = 0; t < n; ++t) {
+      set_.fineness_[t] = static_cast<int8_t>(finenessOf(scene_, t));
+      bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s * faceCells(set_.fineness_[t]));
+    }
     if (bound > 5e8)
       return Error{ErrorCode::kUsage, scene_.name, "",
                    "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
@@ -81,7 +85,6 @@ class PatchBuilder {
       }
     });
     set_.piece_start_.assign(n + 1, 0);
-    for (const Triangle& t : scene_.triangles) set_.fineness_.push_back(static_cast<int8_t>(finenessOf(scene_.materials[t.material].density)));
     for (auto& part : parts) {
       for (Piece& p : part) {
         ++set_.piece_start_[p.triangle + 1];

@@ -53,7 +53,7 @@ void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, doub
 }  // namespace
 
 void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
-  const int fineness = finenessOf(scene_.materials[scene_.triangles[triangle].material].density);
+  const int fineness = finenessOf(scene_, triangle);
   const double s = static_cast<double>(cell_m_) * edgeCells(fineness);  // clipped in units of own cells
   Polygon corners;
   for (const uint32_t v : scene_.triangles[triangle].v) {

@@ -1,6 +1,7 @@
 #include "formats/memory_storage.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace ff::formats {
 namespace {
@@ -36,14 +37,14 @@ class MemoryNewFile final : public NewFile {
   MemoryNewFile(MemoryStorage& storage, std::shared_ptr<MemoryStorage::Inode> inode) : storage_(storage), inode_(std::move(inode)) {}
   Result<void> append(std::span<const std::byte> data) override {
     const std::lock_guard lock(storage_.mutex_);
-    auto longer = std::make_shared<MemoryStorage::Bytes>(*inode_->bytes);  // who reads keeps what was there
-    longer->insert(longer->end(), data.begin(), data.end());
-    inode_->bytes = std::move(longer);
+    if (std::exchange(inode_->held, false)) inode_->bytes = std::make_shared<MemoryStorage::Bytes>(*inode_->bytes);
+    inode_->bytes->insert(inode_->bytes->end(), data.begin(), data.end());
     return {};
   }
   Result<void> sync() override {
     const std::lock_guard lock(storage_.mutex_);
     inode_->synced = inode_->bytes;
+    inode_->held = true;
     return {};
   }
 
@@ -56,6 +57,7 @@ Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path)
   const std::lock_guard lock(mutex_);
   const auto found = names_.find(plain(path));
   if (found == names_.end()) return absent(path);
+  found->second->held = true;
   return std::unique_ptr<StoredFile>(std::make_unique<MemoryFile>(path, found->second->bytes));
 }
 
@@ -114,7 +116,8 @@ std::shared_ptr<MemoryStorage> MemoryStorage::afterPowerCut(Unsynced unsynced) c
   if (unsynced == Unsynced::kNewestNameKept && names_.contains(newest_)) names[newest_] = names_.at(newest_);
   for (const auto& [path, inode] : names) {
     auto kept = std::make_shared<Inode>();
-    kept->bytes = kept->synced = inode->synced;
+    kept->bytes = std::make_shared<Bytes>(*inode->synced);
+    kept->synced = kept->bytes;
     left->names_[path] = std::move(kept);
   }
   left->synced_names_ = left->names_;

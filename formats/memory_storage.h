@@ -32,7 +32,9 @@ class MemoryStorage final : public Storage {
   friend class MemoryNewFile;
   using Bytes = std::vector<std::byte>;
   struct Inode {
-    std::shared_ptr<const Bytes> bytes = std::make_shared<Bytes>(), synced = std::make_shared<Bytes>();
+    std::shared_ptr<Bytes> bytes = std::make_shared<Bytes>();
+    std::shared_ptr<const Bytes> synced = bytes;
+    bool held = true;  // others may hold `bytes`: it is copied before it grows
   };
   using Names = std::map<std::string, std::shared_ptr<Inode>>;
 

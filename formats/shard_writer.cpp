@@ -1,7 +1,5 @@
 #include "formats/shard_writer.h"
 
-#include <algorithm>
-
 #include "formats/checksum.h"
 
 namespace ff::formats {

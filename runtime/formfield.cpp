@@ -57,7 +57,7 @@ Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const Formfiel
   return choice;
 }
 
-// The other way: fills in as much of the caller's structure as it has.
+// takeSettings() the other way: fills in as much of the caller's structure as it has.
 template <class Report>
 Result<void> giveReport(const Report& report, Report* out) {
   if (!out || out->size < sizeof(uint32_t) || out->size > sizeof(Report))

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <string>
 
-
 namespace ff::runtime {
 namespace {
 
@@ -461,6 +460,12 @@ uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node)
   const SlotRange& range = *--after;
   if (range.id.level != level || node - range.first_node >= range.nodes) return kNoSlot;
   return range.first_slot + (node - range.first_node);
+}
+
+uint32_t slotFor(const formats::World& world, std::span<const SlotRange> tiles, uint32_t level, uint32_t node) {
+  for (; node != formats::kNoParent; node = world.parent(level++, node))
+    if (const uint32_t slot = slotOf(tiles, level, node); slot != kNoSlot) return slot;
+  return kNoSlot;
 }
 
 }  // namespace ff::runtime

@@ -22,12 +22,7 @@ void carryOver(const formats::World& world, std::span<const SlotRange> old, std:
                const LocalMatrix& now, std::span<Vec4> carried) {
   for (const SlotRange& range : now.tiles) {
     for (uint32_t i = 0; i < range.nodes; ++i) {
-      uint32_t node = range.first_node + i, slot = kNoSlot;
-      for (uint32_t level = range.id.level; level < world.levels().size() && node != formats::kNoParent; ++level) {
-        slot = slotOf(old, level, node);
-        if (slot != kNoSlot) break;
-        node = world.parent(level, node);
-      }
+      const uint32_t slot = slotFor(world, old, range.id.level, range.first_node + i);
       carried[range.first_slot + i] = slot != kNoSlot ? values[slot] : Vec4{};
     }
   }

@@ -151,13 +151,13 @@ Result<void> VulkanGather::start() {
   const uint64_t range = context_->limits().maxStorageBufferRange;
   const uint64_t most = settings_.max_binding_bytes ? std::min(settings_.max_binding_bytes, range) : range;
   const uint64_t align = std::max<uint64_t>(256, context_->limits().minStorageBufferOffsetAlignment);
-  settings_.entry_bytes = (settings_.entry_bytes + align - 1) / align * align;  // else a second segment for what is left
+  settings_.entry_bytes = roundUp(settings_.entry_bytes, align);  // else a second segment for what is left
   segment_bytes_ = std::min(most, settings_.entry_bytes) / align * align;
   if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
       settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMostTiles)
     return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
                  "give at least " + std::to_string(align) + " bytes, 1 to 65536 slots, 1 to 16383 tiles and 1 frame"};
-  segments_ = static_cast<uint32_t>((settings_.entry_bytes + segment_bytes_ - 1) / segment_bytes_);
+  segments_ = static_cast<uint32_t>(groupsOf(settings_.entry_bytes, segment_bytes_));
   if (settings_.packed_bytes > range || settings_.pages * kPageBytes > range)
     return Error{ErrorCode::kUsage, "", "vulkan",
                  "packed rows or pages exceed the " + std::to_string(range >> 20) + " MiB that the device binds",
@@ -227,7 +227,7 @@ Result<void> VulkanGather::makeBuffers() {
   const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
   // All that one frame can bring: the whole cut, every page, light, emission and radiosity. Each frame's begins aligned.
   const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 3 * slots * sizeof(Vec4);
-  region_bytes_ = (most + sizeof(Vec4) - 1) / sizeof(Vec4) * sizeof(Vec4);
+  region_bytes_ = roundUp(most, sizeof(Vec4));
   struct Wanted {
     Buffer* buffer;
     uint64_t bytes;

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <span>
+#include <type_traits>
 #include <vector>
 
 #include "formats/result.h"
@@ -13,8 +14,14 @@ namespace ff::runtime {
 class VkContext;
 
 // Work groups for so many items; multiples of a tile.
-inline uint32_t groupsOf(uint32_t items, uint32_t a_group) { return (items + a_group - 1) / a_group; }
-inline uint32_t roundUp(uint32_t value, uint32_t multiple) { return groupsOf(value, multiple) * multiple; }
+template <class Count>
+Count groupsOf(Count items, std::type_identity_t<Count> a_group) {
+  return (items + a_group - 1) / a_group;
+}
+template <class Count>
+Count roundUp(Count value, std::type_identity_t<Count> multiple) {
+  return groupsOf(value, multiple) * multiple;
+}
 
 Result<VkShaderModule> makeShaderModule(VkContext& context, std::span<const uint32_t> spirv);
 

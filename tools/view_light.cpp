@@ -11,13 +11,8 @@ using runtime::Vec4;
 std::vector<uint32_t> patchSlots(const formats::World& world, const LocalMatrix& matrix) {
   std::vector<uint32_t> slots(world.levels()[0].nodes);
   for (uint32_t p = 0; p < slots.size(); ++p) {
-    uint32_t node = p, slot = matrix.slotOf(0, p);
-    for (uint32_t level = 0; slot == kNoSlot && level + 1 < world.levels().size(); ++level) {
-      node = world.parent(level, node);
-      slot = matrix.slotOf(level + 1, node);
-    }
-    FF_CHECK_LT(slot, matrix.slots());  // the coarsest level is always active
-    slots[p] = slot;
+    slots[p] = runtime::slotFor(world, matrix.tiles, 0, p);
+    FF_CHECK_LT(slots[p], matrix.slots());  // the coarsest level is always active
   }
   return slots;
 }

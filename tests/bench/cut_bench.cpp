@@ -44,16 +44,9 @@ Solved solve(const formats::World& world, const Truth& truth, const stream::Stre
     matrix = std::make_shared<const LocalMatrix>(orExit(buildLocalMatrix(world, streamer.active(), far_light)));
     solved.build_ms = std::min(solved.build_ms, msSince(began));
   }
-  std::vector<Vec4> source = sourceOf(truth, world, *matrix, streamer.active()), radiosity(matrix->slots());
+  std::vector<Vec4> source = sourceOf(truth, world, *matrix, streamer.active());
   if (far_light == FarLight::kConstant) source[matrix->ambient_slot] = meanOutside(truth, *matrix);
-  const auto solver = makeCpuGather();
-  orExit(solver->update(*matrix, {.any = true, .renumbered = true}));
-  orExit(solver->setRadiosity(source));
-  orExit(solver->setSource(source));
-  constexpr int kIterations = 200;  // albedo <= 0.9 and half of the light leaves for the sky: converged to fp32
-  orExit(solver->iterate(kIterations));
-  orExit(solver->radiosity(radiosity));
-  solved.iteration_ms = solver->lastMs() / kIterations;
+  const std::vector<Vec4> radiosity = convergedRadiosity(*matrix, source, &solved.iteration_ms);
   solved.difference = compare(truth, *matrix, radiosity, source, at);
   solved.slots = matrix->slots();
   for (uint32_t s = 0; s < matrix->slots(); ++s) solved.leaves += matrix->leaf[s];

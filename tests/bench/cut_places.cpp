@@ -4,6 +4,8 @@
 #include <array>
 #include <ctime>
 
+#include "tools/chart/neighbourhood.h"
+
 namespace ff::bench {
 namespace {
 
@@ -24,25 +26,6 @@ double threadMs() {
 std::unique_ptr<stream::Streamer> streamerOf(const formats::World& world, const CutSettings& s, float hysteresis) {
   return orExit(stream::Streamer::create(
       world, {.radius_m = s.radius_m, .growth = s.growth, .hysteresis = hysteresis, .max_level0_nodes = s.max_patches}));
-}
-
-// The slot that stands for a patch.
-uint32_t slotFor(const formats::World& world, const LocalMatrix& matrix, uint32_t patch) {
-  uint32_t node = patch;
-  for (uint32_t level = 0; level < world.levels().size(); node = world.parent(level++, node))
-    if (const uint32_t slot = matrix.slotOf(level, node); slot != kNoSlot) return slot;
-  return kNoSlot;
-}
-
-std::vector<Vec4> solved(const LocalMatrix& matrix, std::span<const Vec4> source) {
-  const auto solver = makeCpuGather();
-  orExit(solver->update(matrix, {.any = true, .renumbered = true}));
-  orExit(solver->setRadiosity(source));
-  orExit(solver->setSource(source));
-  orExit(solver->iterate(200));  // albedo <= 0.9 and half of the light leaves for the sky: converged to fp32
-  std::vector<Vec4> radiosity(matrix.slots());
-  orExit(solver->radiosity(radiosity));
-  return radiosity;
 }
 
 std::string describe(const formats::World& world, const CutSettings& s) {
@@ -73,6 +56,17 @@ std::vector<Walk> walksFrom(const formats::World& world, Vec3 eye) {
 }
 
 }  // namespace
+
+std::vector<Vec4> convergedRadiosity(const LocalMatrix& matrix, std::span<const Vec4> source, double* iteration_ms) {
+  constexpr int kIterations = 200;  // albedo <= 0.9 and half of the light leaves for the sky: converged to fp32
+  const auto solver = makeCpuGather();
+  orExit(chart::lightUp(matrix, source, *solver));
+  orExit(solver->iterate(kIterations));
+  if (iteration_ms) *iteration_ms = solver->lastMs() / kIterations;
+  std::vector<Vec4> radiosity(matrix.slots());
+  orExit(solver->radiosity(radiosity));
+  return radiosity;
+}
 
 std::vector<Vec3> standingEyes(const Truth& truth, int count) {
   std::vector<std::pair<uint64_t, Vec3>> floors[2];  // streets, rooms
@@ -105,7 +99,7 @@ void printFixedDistances(const formats::World& world, const Truth& truth, const 
     streamer->update(eye, {});
     orExit(streamer->settle());
     const LocalMatrix matrix = orExit(buildLocalMatrix(world, streamer->active()));
-    const std::vector<Vec4> source = sourceOf(truth, world, matrix, streamer->active()), radiosity = solved(matrix, source);
+    const std::vector<Vec4> source = sourceOf(truth, world, matrix, streamer->active()), radiosity = convergedRadiosity(matrix, source);
     slots.push_back(matrix.slots());
     tiles.push_back(static_cast<double>(matrix.tiles.size()));
     entries.push_back(static_cast<double>(matrix.used_entries));
@@ -116,7 +110,7 @@ void printFixedDistances(const formats::World& world, const Truth& truth, const 
         const formats::Node& node = strip.nodes[i];
         const float away = length(node.centroid - eye);
         if (away > static_cast<float>(kDistances_m.back())) continue;
-        const uint32_t patch = strip.first_node + i, slot = slotFor(world, matrix, patch);
+        const uint32_t patch = strip.first_node + i, slot = slotFor(world, matrix.tiles, 0, patch);
         // What its surface reflects, as its node in the cut is lit: 1 / albedo of reflected radiosity.
         const Vec4 b = radiosity[slot], rho = matrix.albedo[slot];
         const float shown[3] = {b.x, b.y, b.z}, albedo[3] = {rho.x, rho.y, rho.z};

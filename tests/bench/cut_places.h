@@ -1,5 +1,6 @@
 // What the cut shows around eyes that stand where people do, at fixed distances, and what its changes cost as they walk.
 #pragma once
+#include <span>
 #include <vector>
 
 #include "tests/bench/truth.h"
@@ -8,6 +9,10 @@ namespace ff::bench {
 
 // Eyes 1.6 m above floors: half of them in streets, half in rooms. Functions of where patches lie, not of their numbers.
 std::vector<Vec3> standingEyes(const Truth& truth, int count);
+
+// Radiosity by slot once light has settled, on the CPU. iteration_ms: of one step; may be null.
+std::vector<runtime::Vec4> convergedRadiosity(const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> source,
+                                              double* iteration_ms = nullptr);
 
 struct CutSettings {
   float radius_m = 0, growth = 0;

@@ -73,6 +73,16 @@ class OpenManifest {
   }
 };
 
+// The small world's, with these bytes as its section of a kind.
+std::vector<std::byte> sealedWith(uint32_t kind, const std::vector<std::byte>& bytes) {
+  OpenManifest m;
+  std::erase_if(m.parts, [&](const OpenManifest::Part& p) { return p.record.kind == kind; });
+  OpenManifest::Part& part = m.parts.emplace_back();
+  part.record.kind = kind;
+  part.bytes = bytes;
+  return m.seal();
+}
+
 void expectRefused(const std::string& message, const std::vector<std::byte>& bytes) {
   const auto parsed = parseManifest(bytes);
   ASSERT_FALSE(parsed) << message;
@@ -231,14 +241,9 @@ TEST(ManifestRules, WorldInformationIsComplete) {
 TEST(ManifestRules, LightsCanBe) {
   const Light spot{"s", Light::kSpot, {1, 1, 1}, {0, 3, 0}, {0, -1, 0}, 5, 0.2f, 0.4f};
   const auto sealed = [](const Light& light) {
-    OpenManifest m;
     ByteWriter w;
     LightRecord::fields(w, light);
-    OpenManifest::Part part;
-    part.record.kind = kSectionLights;
-    part.bytes = w.data();
-    m.parts.push_back(part);
-    return m.seal();
+    return sealedWith(kSectionLights, w.data());
   };
   const auto good = parseManifest(sealed(spot));
   ASSERT_TRUE(good) << good.error().line();
@@ -260,15 +265,9 @@ TEST(ManifestRules, LightsCanBe) {
 
 TEST(ManifestRules, LampGroupsCanBe) {
   const auto sealed = [](const LampGroup& group) {
-    OpenManifest m;
-    std::erase_if(m.parts, [](const OpenManifest::Part& p) { return p.record.kind == kSectionLampGroups; });
     ByteWriter w;
     LampGroupRecord::fields(w, group);
-    OpenManifest::Part part;
-    part.record.kind = kSectionLampGroups;
-    part.bytes = w.data();
-    m.parts.push_back(part);
-    return m.seal();
+    return sealedWith(kSectionLampGroups, w.data());
   };
   const LampGroup lamp{"lamp", {1, 0, kMaxEmission}, 2, 3};
   ASSERT_TRUE(parseManifest(sealed(lamp)));

@@ -2,13 +2,7 @@
 # usage: ffbake_cli.sh FFBAKE FFSCENE FOLDER : objects chosen by name, and what it says where they cannot be.
 set -euo pipefail
 ffbake=$1 ffscene=$2 folder=$3
-rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
-fail() { echo "FAILED: $*" >&2; exit 1; }
-expect() {  # expect CODE command...
-  local want=$1 got=0; shift
-  "$@" >out.txt 2>err.txt || got=$?
-  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(cat err.txt)"
-}
+. "${BASH_SOURCE[0]%/*}/command.sh"
 refused() {  # refused WORDS density...: one line that holds the words, and no world
   local words=$1; shift
   expect 1 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --quiet "${@/#/--density=}"

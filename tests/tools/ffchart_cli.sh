@@ -2,13 +2,7 @@
 # usage: ffchart_cli.sh FFCHART FFSCENE FOLDER : the command's page, table and answer; that they repeat; exit codes.
 set -euo pipefail
 ffchart=$1 ffscene=$2 folder=$3
-rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
-fail() { echo "FAILED: $*" >&2; exit 1; }
-expect() {  # expect CODE command...
-  local want=$1 got=0; shift
-  "$@" >out.txt 2>err.txt || got=$?
-  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(tail -n 3 err.txt)"
-}
+. "${BASH_SOURCE[0]%/*}/command.sh"
 "$ffscene" town --patches 2k -o town.glb --camera town.json >/dev/null
 expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --target-error 50
 grep -q '^cheapest with error <= 50 %: ' out.txt || fail "no answer: $(cat out.txt)"

@@ -2,13 +2,7 @@
 # usage: ffscene_cli.sh FFSCENE FOLDER : the command's files and exit codes.
 set -euo pipefail
 ffscene=$1 folder=$2
-rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
-fail() { echo "FAILED: $*" >&2; exit 1; }
-expect() {  # expect CODE command...
-  local want=$1 got=0; shift
-  "$@" >out.txt 2>err.txt || got=$?
-  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(cat err.txt)"
-}
+. "${BASH_SOURCE[0]%/*}/command.sh"
 expect 0 "$ffscene" town -o a.glb --patches 2.5k --seed 3 --camera a.json
 grep -qE '^faces +2[45][0-9][0-9]$' out.txt || fail "no face count near 2500: $(cat out.txt)"
 expect 0 "$ffscene" town -o b.glb --patches 2500 --seed 3 --camera b.json --json

@@ -2,14 +2,7 @@
 # usage: ffview_town.sh FFSCENE FFBAKE FFVIEW FOLDER : a small town from nothing to pictures, and ffview's exit codes.
 set -euo pipefail
 ffscene=$1 ffbake=$2 ffview=$3 folder=$4
-rm -rf "$folder" && mkdir -p "$folder" && cd "$folder"
-fail() { echo "FAILED: $*" >&2; exit 1; }
-expect() {  # expect CODE command...
-  local want=$1 got=0; shift
-  "$@" >out.txt 2>err.txt || got=$?
-  [ "$got" = "$want" ] || fail "exit $got instead of $want: $* : $(cat err.txt)"
-  if [ "$want" != 0 ] && [ "$(wc -l <err.txt)" -gt 12 ]; then fail "more than one clear line: $(cat err.txt)"; fi
-}
+. "${BASH_SOURCE[0]%/*}/command.sh"
 expect 0 "$ffscene" town -o town.glb --patches 2500 --camera camera.json
 expect 0 "$ffbake" town.glb -o town.ffm --patch-size 1 --rays 256 --quiet
 if ! "$ffview" --headless town.ffm -o probe --frames 1 --size 64x48 --no-difference --validate >out.txt 2>err.txt; then

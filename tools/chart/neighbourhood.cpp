@@ -30,11 +30,13 @@ Result<Neighbourhood> neighbourhoodAt(const formats::World& world, const WorldTr
   return there;
 }
 
-Result<void> lightUp(const Neighbourhood& there, Solver& solver) {
-  if (auto taken = solver.update(there.pyramid->matrix(), {.any = true, .renumbered = true}); !taken) return taken;
-  if (auto lit = solver.setSource(there.source); !lit) return lit;
-  return solver.setRadiosity(there.source);
+Result<void> lightUp(const LocalMatrix& matrix, std::span<const Vec4> source, Solver& solver) {
+  if (auto taken = solver.update(matrix, {.any = true, .renumbered = true}); !taken) return taken;
+  if (auto lit = solver.setSource(source); !lit) return lit;
+  return solver.setRadiosity(source);
 }
+
+Result<void> lightUp(const Neighbourhood& there, Solver& solver) { return lightUp(there.pyramid->matrix(), there.source, solver); }
 
 Result<LocalPatches> localPatches(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there) {
   auto matrix = buildLocalMatrix(world, there.streamer->active(), FarLight::kConstant);

@@ -2,6 +2,7 @@
 // patches alone with one constant for all that is far, which is what the dense methods of the paper work on.
 #pragma once
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "runtime/matrix_assembler.h"
@@ -24,8 +25,9 @@ struct Neighbourhood {
 Result<Neighbourhood> neighbourhoodAt(const formats::World& world, const WorldTruth& truth, Vec3 observer,
                                       const stream::StreamSettings& settings);
 
-// The solver with the neighbourhood's matrix, its light, and radiosity that starts from the light.
-Result<void> lightUp(const Neighbourhood& there, runtime::Solver& solver);
+// The solver with a matrix, its light (by slot), and radiosity that starts from the light; the matrix must outlive it.
+Result<void> lightUp(const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> source, runtime::Solver& solver);
+Result<void> lightUp(const Neighbourhood& there, runtime::Solver& solver);  // with those of a neighbourhood
 
 // The active patches of a neighbourhood. Beyond them the truth's mean radiosity, the constant's best value.
 struct LocalPatches {

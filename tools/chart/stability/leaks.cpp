@@ -11,6 +11,7 @@
 #include "stream/streamer.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/patch_rows.h"
+#include "tools/chart/neighbourhood.h"
 #include "tools/chart/stability/parts.h"
 
 namespace ff::chart {
@@ -145,9 +146,7 @@ Result<std::vector<runtime::Vec4>> solved(const formats::World& world, const run
     for (uint32_t i = 0; i < m.size(); ++i) source[first + i] = {m[i].x, m[i].y, m[i].z, 0};
   }
   const auto solver = makeCpuGather(threads);
-  if (auto taken = solver->update(matrix, {.any = true, .renumbered = true}); !taken) return taken.error();
-  if (auto lit = solver->setSource(source); !lit) return lit.error();
-  if (auto lit = solver->setRadiosity(source); !lit) return lit.error();
+  if (auto lit = lightUp(matrix, source, *solver); !lit) return lit.error();
   if (auto done = solver->iterate(100); !done) return done.error();  // albedo 0.5: settled to single precision
   if (auto read = solver->radiosity(b); !read) return read.error();
   return b;

@@ -27,13 +27,8 @@ struct Sums {
 // Radiosity of a patch as the cut has it: its own, or that of its nearest active ancestor; else what is far.
 Vec4 valueOf(const formats::World& world, const LocalMatrix& matrix, std::span<const Vec4> radiosity, uint32_t patch,
              Vec4 far_value) {
-  uint32_t node = patch;
-  for (uint32_t level = 0; level < world.levels().size(); ++level) {
-    if (const uint32_t slot = matrix.slotOf(level, node); slot != kNoSlot) return radiosity[slot];
-    node = world.parent(level, node);
-    if (node == formats::kNoParent) break;
-  }
-  return far_value;
+  const uint32_t slot = slotFor(world, matrix.tiles, 0, patch);
+  return slot != kNoSlot ? radiosity[slot] : far_value;
 }
 
 Result<Sums> compareNear(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there,
@@ -44,9 +39,7 @@ Result<Sums> compareNear(const formats::World& world, const WorldTruth& truth, c
   const Vec4 outside = meanOutside(truth, *matrix);
   if (far_light == FarLight::kConstant) source[matrix->ambient_slot] = outside;
   const auto solver = makeCpuGather(threads);
-  if (auto taken = solver->update(*matrix, {.any = true, .renumbered = true}); !taken) return taken.error();
-  if (auto lit = solver->setRadiosity(source); !lit) return lit.error();
-  if (auto lit = solver->setSource(source); !lit) return lit.error();
+  if (auto lit = lightUp(*matrix, source, *solver); !lit) return lit.error();
   if (auto done = solver->iterate(kIterations); !done) return done.error();
   if (auto read = solver->radiosity(b); !read) return read.error();
   Sums sums;
