@@ -14,9 +14,13 @@ inline constexpr uint16_t kFormatVersion = 2;        // written, and the only on
 inline constexpr uint32_t kTileNodes = 256;          // nodes of a tile, at most: rows and columns are then one byte each
 inline constexpr uint32_t kMaxLevels = 16;
 inline constexpr uint32_t kMaxQuanta = 65535;        // counts are u16
+inline constexpr uint32_t kMaxRowFactor = 8;          // a row may have so many times the samples of the world's settings
 inline constexpr uint32_t kNoParent = 0xffffffffu;
 inline constexpr uint16_t kNoLampGroup = 0xffff;
 inline constexpr uint64_t kShardHeaderBytes = 4096;
+
+// Samples of a row, at most, in a world of `quanta`: what a reader's bounds on memory rest on. Writer and reader refuse more.
+constexpr uint32_t maxRowQuanta(uint32_t quanta) { return quanta > kMaxQuanta / kMaxRowFactor ? kMaxQuanta : quanta * kMaxRowFactor; }
 
 // A tile of one level. Level 0 holds the patches.
 struct TileId {
@@ -40,7 +44,7 @@ struct Node {
   uint16_t lamp_group = kNoLampGroup;  // whose switch scales the emission; nodes of two groups never share a parent
   uint32_t parent = kNoParent;  // node number at level + 1
   // The row's closure: sum of the entries' counts + sky + absorbed == quanta, exactly.
-  uint32_t quanta = 0;       // Q
+  uint32_t quanta = 0;       // Q of this row: at most maxRowQuanta(WorldInfo::quanta)
   uint32_t sky = 0;          // quanta that reach the sky: they close the row; its light is told by sky_fraction
   uint32_t absorbed = 0;     // quanta lost: back faces
   float row_total = 1;       // the row's sum before it was scaled to its quanta: A_i row_total_i count/quanta is the
@@ -138,7 +142,7 @@ struct WorldInfo {
   Vec3 grid_origin;              // corner of level-0 cell (0,0,0); cell = floor((p - origin) / cell_m)
   Box bounds;                    // m
   uint32_t rays = 0;             // per patch
-  uint32_t quanta = 0;           // Q: samples of a row
+  uint32_t quanta = 0;           // Q: samples of a row, by rule; see maxRowQuanta
   uint64_t seed = 0;
   std::array<uint8_t, 16> bake_key{};   // XXH3-128 of scene bytes, settings and code version
   std::string generator;         // "ffbake 0.1.0"

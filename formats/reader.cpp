@@ -207,7 +207,7 @@ Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, St
     return Error{ErrorCode::kUsage, s.path, "", 
                  "has no tile " + std::to_string(id.level) + ":" + std::to_string(id.tile), "see ffinspect info"};
   const TileInfo& info = s.tiles[id.level][id.tile];
-  auto ok = decodeStripBytes(info, s.checksums[id.level][id.tile], s.tiles[id.level], stored, out);
+  auto ok = decodeStripBytes(info, s.checksums[id.level][id.tile], s.tiles[id.level], s.manifest.info.quanta, stored, out);
   if (!ok) return inFile(ok.error(), s.shard_paths[info.shard]);
   if (id.level < s.manifest.links.size()) {
     const uint32_t first = s.tiles[id.level + 1][parentTile(id)].first_node;

@@ -73,11 +73,11 @@ struct OctNormal {
 OctNormal packNormal(Vec3 n);
 Vec3 unpackNormal(OctNormal n);
 
-// Decodes one strip. `info` and `checksum` are its index record's; `partners` are all tiles of its level. Fills
+// Decodes one strip. `info` and `checksum` are its index record's; `partners` are all tiles of its level; `quanta` is the world's. Fills
 // everything but Node::parent. `out`'s vectors are reused; after an error its content is unspecified. Memory taken is
 // bounded by info.raw_bytes and info.entries, which are checked against the header first. Thread-safe.
 // Errors carry no file name: the caller knows it.
 Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
-                              std::span<const std::byte> stored, Strip& out);
+                              uint32_t quanta, std::span<const std::byte> stored, Strip& out);
 
 }  // namespace ff::formats

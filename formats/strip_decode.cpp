@@ -110,7 +110,7 @@ Result<void> decodeLamps(const TileInfo& info, const std::byte* raw, const Strip
   return {};
 }
 
-Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const StripLayout& layout, Strip& out) {
+Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const StripLayout& layout, uint32_t max_quanta, Strip& out) {
   const size_t n = layout.nodes;
   const Vec3 lo = info.bounds.lo, extent = info.bounds.hi - info.bounds.lo;
   out.nodes.resize(n);
@@ -144,7 +144,9 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
     node.sky_fraction = unpackFraction(fraction);
     node.row_total = kRowTotalUnit * unpackFraction(total);
     node.lamp_group = planeValue<uint16_t>(raw + layout.lampGroup(), n, i);
-    const auto bad = [&](const char* what) { return broken(info, "node " + std::to_string(i) + ": " + what); };
+    const auto bad = [&](const std::string& what) { return broken(info, "node " + std::to_string(i) + ": " + what); };
+    if (node.quanta > max_quanta)
+      return bad("its row has " + std::to_string(node.quanta) + " samples, in this world a row has " + std::to_string(max_quanta) + " at most");
     if (fraction > kFractionOne) return bad("sky fraction is above 1");
     if (total > kFractionOne) return bad("row total is above 16");
     if (!(node.area_m2 > 0) || !std::isfinite(node.area_m2)) return bad("area is not a positive number");
@@ -281,7 +283,7 @@ Vec3 unpackNormal(OctNormal n) {
 }
 
 Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
-                              std::span<const std::byte> stored, Strip& out) try {
+                              uint32_t quanta, std::span<const std::byte> stored, Strip& out) try {
   StripHeader header;
   if (auto ok = checkHeader(info, checksum, stored, header); !ok) return ok;
   StripLayout layout{header.nodes, header.blocks, header.entries};
@@ -291,7 +293,7 @@ Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span
   if (auto ok = countLamps(info, scratch, layout); !ok) return ok;
   out.id = info.id;
   out.first_node = info.first_node;
-  if (auto ok = decodeNodes(info, scratch.data(), layout, out); !ok) return ok;
+  if (auto ok = decodeNodes(info, scratch.data(), layout, maxRowQuanta(quanta), out); !ok) return ok;
   if (auto ok = decodeLamps(info, scratch.data(), layout, out); !ok) return ok;
   if (auto ok = decodeBlocks(info, scratch.data(), layout, partners.size(), out); !ok) return ok;
   return decodeEntries(info, scratch, layout, partners, out);

@@ -306,6 +306,7 @@ Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds) {
   out.info.nodes = layout.nodes;
   out.info.entries = layout.entries;
   out.info.bounds = bounds;
+  for (const Node& node : strip.nodes) out.quanta = std::max(out.quanta, node.quanta);
   return out;
 }
 

@@ -22,6 +22,7 @@ struct WorldWriter::State {
   std::vector<std::vector<uint32_t>> tile_starts;    // by level: first node of each tile, then the number of nodes
   uint32_t level = 0;                                // of the last strip
   uint32_t geometry_tiles = 0;
+  uint32_t quanta = 0;                               // samples of the row that has most
   bool failed = false;                               // after an error nothing more is accepted
 
   Result<void> addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes);
@@ -162,6 +163,7 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
   level.nodes += info.nodes;
   s.tile_starts[s.level].push_back(level.nodes);
   level.entries += info.entries;
+  s.quanta = std::max(s.quanta, strip.quanta);
   level.stored_bytes += info.stored_bytes + kIndexRecordBytes;
   if (auto ok = s.addTo(kKindRows, info, std::move(strip.bytes)); !ok) return ok;
   s.failed = false;
@@ -210,6 +212,9 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
   if (s.geometry_tiles != 0 && s.geometry_tiles != s.levels[0].tiles) return misuse("geometry does not cover every tile");
   if (parents.size() + 1 != s.levels.size() || cell_m.size() != s.levels.size())
     return misuse("parents or cell sizes do not fit the number of levels");
+  if (s.quanta > maxRowQuanta(info.quanta))
+    return misuse("a row has " + std::to_string(s.quanta) + " samples, in a world of " + std::to_string(info.quanta) +
+                  " a row has " + std::to_string(maxRowQuanta(info.quanta)) + " at most");
 
   std::vector<SectionBytes> sections;
   const auto addSection = [&](uint32_t kind, ByteWriter& w) {

@@ -22,6 +22,7 @@ namespace ff::formats {
 // or an unfit setting), compressor out of memory.
 struct EncodedStrip {
   TileInfo info;  // shard and offset are set by the writer
+  uint32_t quanta = 0;  // samples of the row that has most
   std::vector<std::byte> bytes;
 };
 Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds);

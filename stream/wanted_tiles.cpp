@@ -12,7 +12,7 @@ using formats::TileInfo;
 uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   const uint64_t partners = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
-  const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (world.info().quanta / 255 + 1);
+  const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (formats::maxRowQuanta(world.info().quanta) / 255 + 1);
   // Lamps' light is among what is left of the payload once nodes and entries are taken off.
   const formats::StripLayout least{info.nodes, 0, info.entries};
   const uint64_t lamps = (info.raw_bytes - std::min<uint64_t>(info.raw_bytes, least.escapes())) / formats::StripLayout::kLampBytes;

@@ -121,6 +121,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kLampBytes) + " L |"), std::string::npos);
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kBlockBytes) + " B |"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxEscapeBytes) + " E"), std::string::npos);
+  EXPECT_NE(page().find("at most " + std::to_string(kMaxRowFactor) + " times the world's"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxStripRawBytes)), std::string::npos);
   EXPECT_NE(page().find("format, version " + std::to_string(kFormatVersion)), std::string::npos);
 }

@@ -22,6 +22,7 @@ struct OpenStrip {
   std::vector<std::byte> raw;
   std::vector<TileInfo> partners;
   uint64_t checksum = 0;
+  uint32_t quanta = 1000;  // the world's
 
   explicit OpenStrip(const EncodedStrip& encoded, std::span<const uint32_t> tile_nodes) : info(encoded.info) {
     ByteReader r(encoded.bytes);
@@ -53,7 +54,7 @@ struct OpenStrip {
 
   Result<void> decode(std::span<const std::byte> bytes) const {
     Strip out;
-    return decodeStripBytes(info, checksum, partners, bytes, out);
+    return decodeStripBytes(info, checksum, partners, quanta, bytes, out);
   }
 };
 
@@ -144,6 +145,16 @@ TEST(StripRules, RowsCloseExactly) {
   expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().sky(), 101); });
   expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().quanta() + 1, 0xe9); });
   expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1 << 3 | 2); });
+}
+
+// What the streamer holds ready for a strip rests on this (residentBytesBound).
+TEST(StripRules, ARowHasAFewTimesTheWorldsSamplesAtMost) {
+  OpenStrip strip = sample();
+  strip.quanta = (1000 + kMaxRowFactor - 1) / kMaxRowFactor;
+  EXPECT_TRUE(strip.decode(strip.seal()));
+  expectRefused("node 0: its row has 1000 samples, in this world a row has 992 at most", [&](OpenStrip& s) { s.quanta = strip.quanta - 1; });
+  EXPECT_EQ(maxRowQuanta(8192), kMaxQuanta);
+  EXPECT_EQ(maxRowQuanta(kMaxQuanta), kMaxQuanta);
 }
 
 TEST(StripRules, BlocksAreInOrderAndComplete) {
@@ -239,7 +250,7 @@ TEST(StripRules, RandomDamageIsRefusedOrHarmless) {
     if (random() % 8 == 0) strip.raw.resize(random() % strip.raw.size());
     const std::vector<std::byte> bytes = strip.seal();
     Strip out;
-    if (!decodeStripBytes(strip.info, strip.checksum, strip.partners, bytes, out)) continue;
+    if (!decodeStripBytes(strip.info, strip.checksum, strip.partners, strip.quanta, bytes, out)) continue;
     ++accepted;
     const auto again = encodeStrip(out, strip.info.bounds);
     ASSERT_TRUE(again) << again.error().line();

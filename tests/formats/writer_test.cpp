@@ -108,6 +108,8 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.cell_m[0] = 0; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.bounds = Box{}; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.cell_m = NAN; }));
+  EXPECT_TRUE(finishes([](RandomWorld& w) { w.info.quanta = 299 / kMaxRowFactor + 1; }));
+  EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.quanta = 299 / kMaxRowFactor; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.geometry.push_back({0, {}, {}}); }));  // of one tile of two
   EXPECT_FALSE(finishes([](RandomWorld& w) { std::swap_ranges(w.parents[0].begin(), w.parents[0].begin() + 2, w.parents[0].begin() + 2); }));
   // Parents of one tile in two: the level above in tiles of 100 and 50 nodes.

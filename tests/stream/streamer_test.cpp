@@ -9,6 +9,7 @@
 
 #include "stream/file_source.h"
 #include "stream/wanted_tiles.h"
+#include "tests/formats/furnace_world.h"
 #include "tests/stream/synthetic_world.h"
 #include "tests/stream/test_sources.h"
 
@@ -196,6 +197,35 @@ TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
   const StreamStats stats = streamer->stats();
   EXPECT_LE(stats.peak_resident_bytes, budget);
   EXPECT_GT(stats.evicted, 0u);
+}
+
+// Rows of as many samples as a world allows, all of them at one patch: their counts take 257 words each.
+TEST(ResidentBytes, AStripTakesNoMoreThanIsKnownOfItBeforeItIsRead) {
+  formats::RandomWorld made = formats::makeFurnaceWorld(64);
+  made.info.quanta = formats::kMaxQuanta / formats::kMaxRowFactor;
+  for (auto& level : made.strips) {
+    formats::Strip& strip = level[0];
+    const auto rows = static_cast<uint32_t>(strip.nodes.size());
+    strip.blocks = {{0, rows}};
+    strip.rows.clear();
+    for (uint32_t i = 0; i < rows; ++i) {
+      strip.rows.push_back(static_cast<uint8_t>(i));
+      strip.nodes[i].quanta = formats::maxRowQuanta(made.info.quanta);
+    }
+    strip.columns.assign(rows, 0);
+    strip.counts.assign(rows, static_cast<uint16_t>(strip.nodes[0].quanta));
+  }
+  const formats::TemporaryFolder folder;
+  ASSERT_TRUE(formats::writeWorld(made, folder.file("w.ffm"), 1 << 20));
+  const auto world = formats::World::open(folder.file("w.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  for (const uint32_t level : {0u, 1u}) {
+    auto strip = world->strip({level, 0});
+    ASSERT_TRUE(strip) << strip.error().line();
+    const auto packed = pack(std::move(*strip));
+    ASSERT_TRUE(packed) << packed.error().line();
+    EXPECT_LE(residentBytes(*packed), residentBytesBound(*world, world->tiles(level)[0]));
+  }
 }
 
 TEST_F(StreamerTest, AReturnWithinTheBudgetReadsNothingAgain) {

@@ -236,7 +236,10 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
   world.info.cell_m = 1;
   world.info.grid_origin = world.info.bounds.lo;
   world.info.rays = settings.quanta;
-  world.info.quanta = settings.quanta;
+  // A row of the top has the sum of its patches' samples.
+  uint32_t most = 0;
+  for (const Node& node : levels.back().nodes) most = std::max(most, node.quanta);
+  world.info.quanta = std::max(settings.quanta, (most + formats::kMaxRowFactor - 1) / formats::kMaxRowFactor);
   world.info.seed = settings.seed;
   world.info.generator = "synthetic_world";
   world.info.scene = "synthetic";
