@@ -193,9 +193,12 @@ Result<void> readLampGroups(const Section& s, std::vector<LampGroup>& groups) {
   return finished(r, s);
 }
 
-// The size in the table is not believed: memory grows with what the frame yields.
-Result<void> readGrid(const Section& s, std::vector<GridLine>& grid, size_t& grid_bytes) {
+// The size in the table is not believed: memory grows with what the frame yields, up to max_bytes.
+Result<void> readGrid(const Section& s, uint64_t max_bytes, std::vector<GridLine>& grid, size_t& grid_bytes) {
   const uint64_t raw_bytes = s.record.raw_bytes;
+  if (raw_bytes > max_bytes)
+    return broken(s.record.offset, "spatial grid has " + std::to_string(raw_bytes) + " bytes, for the world's patches " +
+                                       std::to_string(max_bytes) + " are allowed");
   std::unique_ptr<ZSTD_DStream, StreamFree> stream(ZSTD_createDStream());
   if (!stream) return Error{ErrorCode::kIo, "", "", "out of memory for decompression", ""};
   ZSTD_inBuffer in{s.bytes.data(), s.bytes.size(), 0};
@@ -235,7 +238,7 @@ Result<Manifest> parseManifest(std::span<const std::byte> bytes) {
   if ((*sections)[kSectionLampGroups])
     if (auto ok = readLampGroups(*(*sections)[kSectionLampGroups], m.info.lamp_groups); !ok) return ok.error();
   if ((*sections)[kSectionGrid])
-    if (auto ok = readGrid(*(*sections)[kSectionGrid], m.grid, m.grid_bytes); !ok) return ok.error();
+    if (auto ok = readGrid(*(*sections)[kSectionGrid], maxGridBytes(m.links.empty() ? 0 : m.levels[0].nodes), m.grid, m.grid_bytes); !ok) return ok.error();
   if ((*sections)[kSectionLights])
     if (auto ok = readLights(*(*sections)[kSectionLights], m.info.lights); !ok) return ok.error();
   return m;

@@ -29,6 +29,10 @@ struct Manifest {
 // bytes: the whole file. Errors carry offsets but no file name. Memory taken is bounded by what the bytes really hold.
 Result<Manifest> parseManifest(std::span<const std::byte> bytes);
 
+// Bytes of a spatial grid, at most, in a world whose level 0 has `nodes` with parents: the links have vouched for those. Writers leave
+// out a larger one (patches far apart); it serves look-ups by hand alone.
+constexpr uint64_t maxGridBytes(uint64_t nodes) { return (uint64_t{4} << 20) + 512 * nodes; }
+
 // Rejects names that could leave the manifest's folder.
 bool isPlainFileName(const std::string& name);
 

@@ -241,7 +241,10 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
     for (const LampGroup& group : info.lamp_groups) LampGroupRecord::fields(group_bytes, group);
     addSection(kSectionLampGroups, group_bytes);
   }
-  if (!spatial_grid.empty()) {
+  if (spatial_grid.size() > maxGridBytes(parents.empty() ? 0 : s.levels[0].nodes)) {
+    s.warnings.push_back(s.path + ": left out the spatial grid, which would take " + std::to_string(spatial_grid.size()) +
+                         " bytes: its patches are far apart; ffinspect locate takes longer");
+  } else if (!spatial_grid.empty()) {
     auto grid = compress(spatial_grid);
     if (!grid) return grid.error();
     sections.push_back({kSectionGrid, spatial_grid.size(), std::move(*grid)});

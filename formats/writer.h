@@ -45,7 +45,7 @@ class WorldWriter {
   // cell_m[l]: grid cell edge. spatial_grid: a NanoVDB IntGrid (cell -> number of the level-0 tile that holds the
   // cell's first patch, + 1; 0: none), or empty.
   // What could not be done without harm to the world is a warning in warnings(): a folder that cannot be synced, an old shard
-  // that cannot be removed.
+  // that cannot be removed, a grid larger than maxGridBytes(), which is left out.
   Result<void> finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents,
                       std::span<const float> cell_m, std::span<const std::byte> spatial_grid);
 

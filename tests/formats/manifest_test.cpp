@@ -1,5 +1,6 @@
 // Manifests whose checksums are right but whose content is not: hostile sizes, names, counts.
 #include <gtest/gtest.h>
+#include <zstd.h>
 
 #include <functional>
 #include <limits>
@@ -152,6 +153,22 @@ TEST(ManifestRules, TheGridIsAsLargeAsItsFrame) {
   expectRefused("spatial grid", m.seal());
   m.part(kSectionGrid).bytes.clear();
   expectRefused("spatial grid", m.seal());
+}
+
+// A gigabyte of zeros takes 32 kB.
+TEST(ManifestRules, TheGridTakesNoMoreMemoryThanTheWorldsPatchesAllow) {
+  const auto sealed = [](uint64_t raw_bytes) {
+    OpenManifest m;
+    const std::vector<std::byte> zeros(raw_bytes);
+    std::vector<std::byte>& bytes = m.part(kSectionGrid).bytes;
+    bytes.resize(ZSTD_compressBound(zeros.size()));
+    bytes.resize(ZSTD_compress(bytes.data(), bytes.size(), zeros.data(), zeros.size(), 1));
+    m.part(kSectionGrid).record.raw_bytes = raw_bytes;
+    return m.seal();
+  };
+  const uint64_t most = (4 << 20) + 512 * 300;
+  EXPECT_TRUE(parseManifest(sealed(most)));
+  expectRefused("spatial grid has 4347905 bytes, for the world's patches 4347904 are allowed", sealed(most + 1));
 }
 
 TEST(ManifestRules, LevelsAndParentsAgree) {

@@ -1,4 +1,6 @@
 // What is written is what is read, within the quantisation that FORMAT.md states.
+#include <draco/compression/encode.h>
+#include <draco/mesh/triangle_soup_mesh_builder.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -210,6 +212,47 @@ TEST(Geometry, SurvivesWhereItCompressesToLessThanThreeBytesATriangle) {
     ASSERT_TRUE(decoded) << "side " << side << ": " << decoded.error().line();
     ASSERT_EQ(read.patch, written.patch);
   }
+}
+
+// 44 kB that hold a right mesh of 1000 triangles and have Draco take 1.5 kB a point besides: with more and larger attributes, gigabytes.
+TEST(Geometry, HasNoAttributesButPositionsAndPatchNumbers) {
+  constexpr uint32_t kTriangles = 1000;
+  const auto encoded = [&](int more, draco::MeshEncoderMethod method) {
+    draco::TriangleSoupMeshBuilder builder;
+    builder.Start(kTriangles);
+    const int position = builder.AddAttribute(draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32);
+    const int patch = builder.AddAttribute(draco::GeometryAttribute::GENERIC, 1, draco::DT_UINT8);
+    const uint8_t zero = 0;
+    const std::array<int32_t, 4> none{};
+    for (uint32_t t = 0; t < kTriangles; ++t) {
+      const draco::FaceIndex face(t);
+      const Vec3 a{static_cast<float>(t), 0, 0}, b{static_cast<float>(t), 1, 0}, c{static_cast<float>(t), 0, 1};
+      builder.SetAttributeValuesForFace(position, face, &a.x, &b.x, &c.x);
+      builder.SetAttributeValuesForFace(patch, face, &zero, &zero, &zero);
+    }
+    for (int i = 0; i < more; ++i) {
+      const int attribute = builder.AddAttribute(draco::GeometryAttribute::GENERIC, 4, draco::DT_INT32);
+      for (uint32_t t = 0; t < kTriangles; ++t)
+        builder.SetAttributeValuesForFace(attribute, draco::FaceIndex(t), none.data(), none.data(), none.data());
+    }
+    const auto mesh = builder.Finalize();
+    draco::Encoder encoder;
+    encoder.SetEncodingMethod(method);
+    draco::EncoderBuffer buffer;
+    EXPECT_TRUE(encoder.EncodeMeshToBuffer(*mesh, &buffer).ok());
+    const auto* bytes = reinterpret_cast<const std::byte*>(buffer.data());
+    return std::vector<std::byte>(bytes, bytes + buffer.size());
+  };
+  TileGeometry read;
+  EXPECT_TRUE(decodeGeometry(encoded(0, draco::MESH_SEQUENTIAL_ENCODING), kTriangles, 1, read));
+  const auto hostile = encoded(96, draco::MESH_SEQUENTIAL_ENCODING);
+  EXPECT_LT(hostile.size(), 50000u);
+  const auto refused = decodeGeometry(hostile, kTriangles, 1, read);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().message, "geometry has other attributes than positions and patch numbers");
+  const auto wrong = decodeGeometry(encoded(0, draco::MESH_EDGEBREAKER_ENCODING), kTriangles, 1, read);
+  ASSERT_FALSE(wrong);
+  EXPECT_NE(wrong.error().message.find("sequential"), std::string::npos) << wrong.error().line();
 }
 
 TEST(Normal, SurvivesPackingInEveryOctant) {

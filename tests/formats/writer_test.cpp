@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <set>
 
+#include "formats/manifest.h"
 #include "formats/parent_links.h"
 #include "formats/reader.h"
 #include "formats/writer.h"
@@ -131,6 +132,20 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_FALSE(finishes([](RandomWorld& w) {
     for (uint32_t i = 0; i < 300; ++i) w.parents[0][i] = (i + 1) / 2 < 150 ? (i + 1) / 2 : 149;
   }));
+}
+
+TEST(Writer, LeavesOutAGridThatAReaderWouldRefuse) {
+  TemporaryFolder folder;
+  RandomWorld w = makeFurnaceWorld(300);
+  for (const size_t more : {0, 1}) {
+    w.grid.assign(maxGridBytes(300) + more, std::byte{1});
+    std::vector<std::string> warnings;
+    ASSERT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28, posixStorage(), &warnings));
+    EXPECT_EQ(warnings.size(), more);
+    const auto world = World::open(folder.file("w.ffm"));
+    ASSERT_TRUE(world) << world.error().line();
+    EXPECT_EQ(world->spatialGrid().size(), more == 0 ? w.grid.size() : 0);
+  }
 }
 
 TEST(Writer, RefusesNamesAndFoldersAtOnce) {

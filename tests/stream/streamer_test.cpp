@@ -199,7 +199,7 @@ TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
   EXPECT_GT(stats.evicted, 0u);
 }
 
-// Rows of as many samples as a world allows, all of them at one patch: their counts take 257 words each.
+// Rows of as many samples as a world allows, all of them at one patch: their counts take many words each.
 TEST(ResidentBytes, AStripTakesNoMoreThanIsKnownOfItBeforeItIsRead) {
   formats::RandomWorld made = formats::makeFurnaceWorld(64);
   made.info.quanta = formats::kMaxQuanta / formats::kMaxRowFactor;
