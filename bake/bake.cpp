@@ -251,6 +251,8 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(&s.quanta, sizeof s.quanta);
   put(&s.seed, sizeof s.seed);
   put(&s.metals, sizeof s.metals);
+  put(&s.geometry, sizeof s.geometry);
+  put(scene.name.c_str(), scene.name.size() + 1);  // the manifest holds it
   put(FF_VERSION, sizeof FF_VERSION);
   put(&kBakeCode, sizeof kBakeCode);
   XXH128_canonical_t digest;

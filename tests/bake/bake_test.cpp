@@ -49,6 +49,29 @@ TEST_F(Bake, GivesTheSameBytesForAnyNumberOfThreads) {
   EXPECT_TRUE(one == read(3));
 }
 
+// Worlds are taken for the same where their keys are (ffchart keeps bakes by them). Two materials that differ in name alone, and a pattern that
+// finds one of them: the content hash of the file's scene does not cover such names, that of what is baked covers what they chose.
+TEST_F(Bake, HasAKeyOfItsOwnForWhateverChangesItsBytes) {
+  const Scene scene = parallelSquares();
+  ASSERT_EQ(scene.materials.size(), 2u);
+  const auto keyOf = [&](const BakeSettings& settings, std::array<const char*, 2> names = {"a", "b"}, const char* file = "scene") {
+    Scene named = scene;
+    named.name = file;
+    for (size_t m = 0; m < 2; ++m) named.materials[m].name = names[m];
+    const auto clean = cleanUp(named, settings.cleanup);
+    EXPECT_TRUE(clean) << clean.error().line();
+    return bakeKey(clean->scene ? *clean->scene : named, settings, 0.25f);
+  };
+  const CleanupSettings out{.exclude = {"a"}}, blocks{.occlude_only = {"a"}}, finer{.density = {{"a", 2.0f}}};
+  const std::vector<std::array<uint8_t, 16>> keys{
+      keyOf({}), keyOf({}, {"a", "b"}, "other"), keyOf({.geometry = false}), keyOf({.seed = 2}), keyOf({.metals = 0.5f}),
+      keyOf({.cleanup = out}), keyOf({.cleanup = out}, {"b", "a"}), keyOf({.cleanup = blocks}), keyOf({.cleanup = blocks}, {"b", "a"}),
+      keyOf({.cleanup = finer}), keyOf({.cleanup = finer}, {"b", "a"}), keyOf({.cleanup = {.backs = Backs::kPass}})};
+  for (size_t i = 0; i < keys.size(); ++i)
+    for (size_t j = 0; j < i; ++j) EXPECT_NE(keys[i], keys[j]) << i << " " << j;
+  EXPECT_EQ(keys[0], keyOf({.threads = 3, .memory_bytes = 1 << 30}));
+}
+
 TEST_F(Bake, AClosedBoxKeepsAllEnergyAtEveryLevel) {
   ASSERT_TRUE(bakeWorld(closedBox({.5f, .5f, .5f}, {1, 1, 1}), {.cell_m = 0.03125f, .rays = 256, .quanta = 128}, path("box.ffm")));
   auto world = formats::World::open(path("box.ffm"));
