@@ -14,6 +14,7 @@
 #include <mutex>
 #include <new>
 #include <optional>
+#include <system_error>
 #include <thread>
 
 #include "bake/estimate.h"
@@ -44,11 +45,11 @@ class ProgressReport {
   ProgressReport(const Progress& progress, const char* phase, uint64_t total)
       : progress_(progress), phase_(phase), total_(total) {
     if (!progress_) return;
-    progress_(phase_, 0, total_);
+    say(0);
     thread_ = std::thread([this] {
       std::unique_lock lock(mutex_);
       while (!wake_.wait_for(lock, std::chrono::milliseconds(100), [this] { return stop_; }))
-        progress_(phase_, done.load(std::memory_order_relaxed), total_);
+        say(done.load(std::memory_order_relaxed));
     });
   }
   ~ProgressReport() {
@@ -59,11 +60,19 @@ class ProgressReport {
     }
     wake_.notify_one();
     thread_.join();
-    progress_(phase_, total_, total_);
+    say(total_);
   }
   std::atomic<uint64_t> done{0};
 
  private:
+  // A terminal that is gone is no reason to end a bake.
+  void say(uint64_t so_far) const noexcept {
+    try {
+      progress_(phase_, so_far, total_);
+    } catch (...) {
+    }
+  }
+
   const Progress& progress_;
   const char* phase_;
   uint64_t total_;
@@ -447,6 +456,10 @@ Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, co
     return bake(whole, settings, path, progress);
   } catch (const std::bad_alloc&) {  // the estimate was too low
     return Error{ErrorCode::kIo, whole.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
+  } catch (const std::system_error& e) {  // of threads: files have errors of their own
+    return Error{ErrorCode::kIo, whole.name, "", std::string("the bake ran out of threads: ") + e.what(), "use fewer --threads, or raise the limit on processes"};
+  } catch (const std::exception& e) {  // OpenVDB's, TBB's
+    return Error{ErrorCode::kIo, whole.name, "", std::string("the bake cannot go on: ") + e.what(), "report this, with the scene"};
   }
 }
 

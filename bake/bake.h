@@ -64,11 +64,11 @@ inline constexpr uint32_t kBakeCode = 11;
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);
 
 // phase: "patches", "rays", "pyramid", "strips", "geometry"; done of total. Called from a thread of the baker's own, at most
-// ten times a second, never concurrently.
+// ten times a second, never concurrently. What it throws is ignored.
 using Progress = std::function<void(const char* phase, uint64_t done, uint64_t total)>;
 
 // Bakes a scene into the world at `path` (a .ffm manifest and its shards). Errors: kUsage (settings), kInvalidFile (a scene
-// without surface), kIo. Nothing is left behind on an error.
+// without surface), kIo (files; memory or threads ran out). Never throws. Nothing is left behind on an error.
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
                             const Progress& progress = {});
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <new>
+#include <system_error>
 
 namespace ff::runtime {
 namespace {
@@ -55,7 +57,12 @@ FacetScene::Hit FacetScene::nearest(const RayLine& ray) const {
 
 FacetScenes::FacetScenes(const formats::World& world, uint64_t memory_bytes)
     : world_(world), memory_bytes_(memory_bytes), numbers_(world), loaded_(world.tiles(0).size()) {
-  if (world.hasGeometry() && memory_bytes > 0) thread_ = std::thread([this] { work(); });
+  if (!world.hasGeometry() || memory_bytes == 0) return;
+  try {
+    thread_ = std::thread([this] { work(); });
+  } catch (const std::system_error&) {
+    starved_ = true;
+  }
 }
 
 FacetScenes::~FacetScenes() {
@@ -95,7 +102,17 @@ void FacetScenes::settle() {
 }
 
 void FacetScenes::work() {
-  findDescendants();
+  // Out of memory, it goes on with the triangles that it has, and tries again at the observer's next place.
+  const auto attempt = [this](const auto& what) {
+    try {
+      what();
+      return true;
+    } catch (const std::bad_alloc&) {
+      starved_ = true;
+      return false;
+    }
+  };
+  bool prepared = false;
   for (uint32_t served = 0; !stop_;) {
     const uint32_t aim = aim_.load();
     if (aim == served) {
@@ -107,7 +124,10 @@ void FacetScenes::work() {
       const std::lock_guard lock(mutex_);
       observer = observer_;
     }
-    if (!loadAround(observer)) continue;
+    if (!prepared) prepared = attempt([&] { findDescendants(); });
+    bool moved_on = false;
+    if (prepared) attempt([&] { moved_on = !loadAround(observer); });
+    if (moved_on) continue;
     served = aim;
     done_ = aim;
     done_.notify_all();
@@ -132,7 +152,6 @@ bool FacetScenes::loadAround(Vec3 observer) {
   for (const formats::TileInfo& info : world_.tiles(0)) nearest.emplace_back(info.bounds.distance(observer), info.id.tile);
   std::sort(nearest.begin(), nearest.end());
   auto published = std::chrono::steady_clock::now();
-  bool changed = false;
   size_t farthest = nearest.size();  // tiles from here on have been let go
   for (size_t i = 0; i < farthest; ++i) {
     if (stop_ || aim_.load() != aim) break;
@@ -149,13 +168,12 @@ bool FacetScenes::loadAround(Vec3 observer) {
     if (bytes_ + tile->bytes() > memory_bytes_) break;
     bytes_ += tile->bytes();
     place = std::move(tile);
-    changed = true;
+    unpublished_ = true;
     if (std::chrono::steady_clock::now() - published < kPublishEvery) continue;
     publish();
     published = std::chrono::steady_clock::now();
-    changed = false;
   }
-  if (changed || published_count_ == 0) publish();
+  if (unpublished_ || published_count_ == 0) publish();
   return !stop_ && aim_.load() == aim;
 }
 
@@ -202,6 +220,7 @@ void FacetScenes::publish() {
     published_ = std::move(made);
     fresh_ = true;
   }
+  unpublished_ = false;
   ++published_count_;
 }
 

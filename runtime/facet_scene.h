@@ -63,6 +63,8 @@ class FacetScenes {
   bool update();
   uint32_t tiles() const { return scene_ ? static_cast<uint32_t>(scene_->tiles.size()) : 0; }
 
+  // Whether memory or a thread for it was lacking at some time: probes then meet planes where triangles could not be loaded. Any thread.
+  bool starved() const { return starved_.load(); }
   // Blocks until the scene for the last observer is here.
   void settle();
 
@@ -86,12 +88,13 @@ class FacetScenes {
   Vec3 observer_;
   ScenePtr published_, returned_;
   std::atomic<uint32_t> aim_{0}, done_{0};  // number of the last observer, and of the last that was served
-  std::atomic<bool> fresh_{false}, stop_{false};
+  std::atomic<bool> fresh_{false}, stop_{false}, starved_{false};
   std::atomic<uint32_t> published_count_{0};
   // The thread's.
   std::vector<std::pair<uint32_t, uint32_t>> descendants_;  // first and last level-0 tile under a tile, by number
   std::vector<std::shared_ptr<const TileFacets>> loaded_;   // by level-0 tile
   uint64_t bytes_ = 0;
+  bool unpublished_ = false;  // tiles were loaded since the last scene
   std::thread thread_;
 };
 

@@ -568,6 +568,8 @@ const char* formfieldStreamFailure(FormfieldWorld world) {
   if (!world) return "";
   (void)guarded(world->device.error, [&]() -> Result<void> {
     world->stream_failure = world->streamer->lastFailure();
+    if (world->stream_failure.empty() && world->probes && world->probes->stats().starved)
+      world->stream_failure = "out of memory or threads for the triangles that probes meet; close other programs, or lower probe_memory_bytes";
     return {};
   });
   return world->stream_failure.c_str();

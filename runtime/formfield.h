@@ -252,7 +252,8 @@ const char* formfieldSolverReason(FormfieldWorld world);
 const char* formfieldFallbackReason(FormfieldWorld world);
 /* The last value of a callback that was taken for zero, as a line; empty: none. Valid until the next frame. */
 const char* formfieldLightFault(FormfieldWorld world);
-/* The last strip that could not be read, as a line; empty: none. Allocates; valid until the next call. */
+/* The last strip that could not be read (or whether probes lacked memory for triangles), as a line; empty: none. Allocates; valid until the next
+ * call. */
 const char* formfieldStreamFailure(FormfieldWorld world);
 
 #ifdef __cplusplus

@@ -199,6 +199,7 @@ Vec3 Probes::evaluate(size_t at, std::span<const Vec4> radiosity, const Sky& sky
 ProbeStats Probes::stats() const {
   ProbeStats stats = stats_;
   stats.facet_tiles = facets_.tiles();
+  stats.starved = facets_.starved();
   return stats;
 }
 

@@ -34,6 +34,7 @@ struct ProbeStats {
   uint64_t traced = 0, kept = 0;  // probes answered by new rays, by remembered ones
   uint64_t refused = 0;           // and with zero, since they had no place or no direction
   uint32_t facet_tiles = 0;       // level-0 tiles whose triangles are here
+  bool starved = false;           // FacetScenes::starved()
 };
 
 // One thread. Neither follow() nor sample() allocates, frees or waits.

@@ -1,6 +1,7 @@
 #include "runtime/worker_pool.h"
 
 #include <algorithm>
+#include <system_error>
 
 namespace ff::runtime {
 namespace {
@@ -27,7 +28,11 @@ void awaitChange(const std::atomic<uint32_t>& value, uint32_t old) {
 
 WorkerPool::WorkerPool(int threads) {
   const int wanted = threads > 0 ? threads : static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  for (int i = 1; i < wanted; ++i) workers_.emplace_back([this] { work(); });
+  workers_.reserve(static_cast<size_t>(wanted));
+  try {
+    for (int i = 1; i < wanted; ++i) workers_.emplace_back([this] { work(); });
+  } catch (const std::system_error&) {  // those that there are and the caller's own will do
+  }
 }
 
 WorkerPool::~WorkerPool() {

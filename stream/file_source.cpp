@@ -3,7 +3,10 @@
 #include <condition_variable>
 #include <deque>
 #include <mutex>
+#include <new>
 #include <thread>
+
+#include "stream/start_threads.h"
 
 namespace ff::stream {
 namespace {
@@ -11,7 +14,7 @@ namespace {
 class ThreadSource final : public TileSource {
  public:
   ThreadSource(const formats::World& world, int threads) : world_(world) {
-    for (int i = 0; i < std::max(threads, 1); ++i) threads_.emplace_back([this] { work(); });
+    startThreads(threads_, std::max(threads, 1), [this] { work(); });
   }
 
   ~ThreadSource() override {
@@ -53,10 +56,12 @@ class ThreadSource final : public TileSource {
     }
   }
 
-  Result<std::vector<std::byte>> readBlocking(formats::TileId id) const {
+  Result<std::vector<std::byte>> readBlocking(formats::TileId id) const try {
     std::vector<std::byte> bytes(world_.tiles(id.level)[id.tile].stored_bytes);
     if (auto ok = world_.readStored(id, bytes); !ok) return ok.error();
     return bytes;
+  } catch (const std::bad_alloc&) {
+    return Error{ErrorCode::kIo, "", "", "out of memory", ""};
   }
 
   const formats::World& world_;

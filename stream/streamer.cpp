@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
+#include <new>
+#include <system_error>
 #include <utility>
 
 #include "stream/file_source.h"
@@ -212,12 +214,16 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
 }  // namespace
 
 Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
-                                                   std::unique_ptr<TileSource> source) {
+                                                   std::unique_ptr<TileSource> source) try {
   if (auto fit = check(world, settings); !fit) return fit.error();
   if (!source) source = makeFileSource(world);
   auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source));
   if (auto loaded = streamer->loadTop(); !loaded) return loaded.error();
   return std::unique_ptr<Streamer>(std::move(streamer));
+} catch (const std::system_error& e) {
+  return Error{ErrorCode::kIo, world.path(), "", std::string("cannot start a thread: ") + e.what(), "close other programs, or raise the limit on processes"};
+} catch (const std::bad_alloc&) {
+  return Error{ErrorCode::kIo, world.path(), "", "out of memory while preparing to stream the world", "close other programs"};
 }
 
 }  // namespace ff::stream

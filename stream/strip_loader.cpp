@@ -1,11 +1,20 @@
 #include "stream/strip_loader.h"
 
 #include <algorithm>
+#include <new>
 #include <utility>
+
+#include "stream/start_threads.h"
 
 namespace ff::stream {
 
 using formats::TileId;
+
+namespace {
+
+constexpr const char* kOutOfMemory = "out of memory";  // short enough for a string to need none
+
+}  // namespace
 
 Result<StripPtr> decodeAndPack(const formats::World& world, TileId id, std::span<const std::byte> stored) {
   formats::Strip strip;
@@ -30,7 +39,7 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(most_arrived);
   for (std::vector<StripPtr>* list : {&next_retired_, &submitted_retired_, &incoming_retired_})
     list->reserve(numbers_.tiles() + 2 * most_arrived);
-  for (int i = 0; i < std::max(decode_threads, 1); ++i) threads_.emplace_back([this] { work(); });
+  startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
 }
 
 StripLoader::~StripLoader() {
@@ -147,14 +156,20 @@ void StripLoader::pickUp() {
 
 // Nobody can come to share a strip that the list alone holds, so a count of 1 stays.
 void StripLoader::freeRetired() {
-  for (StripPtr& strip : incoming_retired_) retired_.push_back(std::move(strip));
+  for (StripPtr& strip : incoming_retired_) try {
+      retired_.push_back(std::move(strip));
+    } catch (const std::bad_alloc&) {  // whoever holds it last frees it
+    }
   incoming_retired_.clear();
   std::erase_if(retired_, [](const StripPtr& strip) { return strip.use_count() == 1; });
 }
 
 void StripLoader::startReads() {
-  while (const std::optional<TileId> id = nextRead())
-    source_.read(*id, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+  while (const std::optional<TileId> id = nextRead()) try {
+      source_.read(*id, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+    } catch (const std::bad_alloc&) {
+      onRead(*id, Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
+    }
 }
 
 std::optional<TileId> StripLoader::nextRead() {
@@ -187,11 +202,12 @@ std::optional<StripLoader::Stored> StripLoader::nextToDecode() {
 
 void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
   const std::lock_guard lock(pipeline_mutex_);
-  if (bytes) {
+  if (!bytes) {
+    fail(id, bytes.error(), 0);
+  } else try {
     to_decode_.push_back({id, std::move(*bytes)});
-  } else {
-    failure_ = bytes.error();
-    arrive(id, nullptr, 0);
+  } catch (const std::bad_alloc&) {
+    fail(id, {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
   }
   // A decoder starts the next read: this thread belongs to the source.
   wake();
@@ -201,10 +217,25 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
 }
 
 void StripLoader::decode(const Stored& stored) {
-  auto strip = decodeAndPack(world_, stored.id, stored.bytes);
+  Result<StripPtr> strip = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
+  try {
+    strip = decodeAndPack(world_, stored.id, stored.bytes);
+  } catch (const std::bad_alloc&) {  // also of the line that would say so
+  }
   const std::lock_guard lock(pipeline_mutex_);
-  if (!strip) failure_ = strip.error();
-  arrive(stored.id, strip ? std::move(*strip) : nullptr, stored.bytes.size());
+  if (strip)
+    arrive(stored.id, std::move(*strip), stored.bytes.size());
+  else
+    fail(stored.id, strip.error(), stored.bytes.size());
+}
+
+void StripLoader::fail(TileId id, const Error& error, uint64_t stored_bytes) {
+  try {
+    failure_ = error;
+  } catch (const std::bad_alloc&) {
+    failure_ = {ErrorCode::kIo, "", "", kOutOfMemory, ""};
+  }
+  arrive(id, nullptr, stored_bytes);
 }
 
 void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {

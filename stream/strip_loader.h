@@ -36,6 +36,7 @@ class StripLoader {
     bool idle() const { return queued + under_way + arrived == 0; }
   };
 
+  // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
   // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
   // most_queued: tiles in a queue, at most.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t most_queued);
@@ -77,7 +78,9 @@ class StripLoader {
   std::optional<Stored> nextToDecode();
   void onRead(formats::TileId id, Result<std::vector<std::byte>> bytes);
   void decode(const Stored& stored);
-  void arrive(formats::TileId id, StripPtr strip, uint64_t stored_bytes);  // with pipeline_mutex_ held
+  // Both with pipeline_mutex_ held; they need no memory.
+  void arrive(formats::TileId id, StripPtr strip, uint64_t stored_bytes);
+  void fail(formats::TileId id, const Error& error, uint64_t stored_bytes);
   void wake();
   void progress();
 

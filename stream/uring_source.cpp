@@ -1,13 +1,18 @@
 // Reads through io_uring. Axboe. Efficient IO with io_uring. 2019.
 // Submissions come from any thread under a mutex; one thread takes completions and calls back. Past the ring's depth
-// requests wait in order.
+// requests wait in order. Should the kernel refuse the ring later on, that thread reads itself.
 #include <liburing.h>
+#include <unistd.h>
 
+#include <algorithm>
+#include <array>
+#include <condition_variable>
 #include <deque>
 #include <memory>
 #include <mutex>
+#include <new>
+#include <system_error>
 #include <thread>
-#include <unordered_map>
 
 #include "stream/file_request.h"
 #include "stream/file_source.h"
@@ -26,8 +31,8 @@ class UringSource final : public TileSource {
     {
       const std::lock_guard lock(mutex_);
       stop_ = true;
-      if (in_flight_.empty()) submitWakeup();  // else the last completion ends the thread
     }
+    wake_.notify_one();
     thread_.join();
     io_uring_queue_exit(&ring_);
   }
@@ -41,7 +46,12 @@ class UringSource final : public TileSource {
       io_uring_queue_exit(&ring_);
       return refused("IORING_OP_READ", ENOSYS);
     }
-    thread_ = std::thread([this] { complete(); });
+    try {
+      thread_ = std::thread([this] { complete(); });
+    } catch (const std::system_error& e) {
+      io_uring_queue_exit(&ring_);
+      return refused("thread", e.code().value());
+    }
     return {};
   }
 
@@ -58,89 +68,135 @@ class UringSource final : public TileSource {
   struct Item {
     FileRequest request;
     Done done;
+    bool submitted = false;  // the kernel has it
   };
-  static constexpr uint64_t kWakeup = 0;  // user data of the request that ends the thread
 
   static Error refused(const char* what, int code) {
     return {ErrorCode::kIo, "", what, std::strerror(code), "reading with threads instead"};
   }
 
-  // All three with mutex_ held.
-  void submitWaiting() {
-    while (!waiting_.empty() && in_flight_.size() < kRingEntries) {
-      const uint64_t key = next_key_++;
-      Item& item = *(in_flight_[key] = std::move(waiting_.front()));
-      waiting_.pop_front();
-      submitRead(key, item);
-    }
+  // All with mutex_ held. They need no memory.
+  bool anyLeft() const {
+    return !waiting_.empty() || std::any_of(in_flight_.begin(), in_flight_.end(), [](const auto& item) { return item != nullptr; });
   }
-  void submitRead(uint64_t key, Item& item) {
+  void submitWaiting() {
+    for (size_t place = 0; place < kRingEntries && !waiting_.empty() && !broken_; ++place) {
+      if (in_flight_[place]) continue;
+      in_flight_[place] = std::move(waiting_.front());
+      waiting_.pop_front();
+      submitRead(place);
+    }
+    wake_.notify_one();
+  }
+  // Where the kernel does not take it, the item stays for readItself().
+  void submitRead(size_t place) {
     // There is always an entry: in flight at most kRingEntries, and each is submitted at once.
     io_uring_sqe* entry = io_uring_get_sqe(&ring_);
+    Item& item = *in_flight_[place];
     const std::span<std::byte> rest = item.request.remaining();
-    io_uring_prep_read(entry, item.request.descriptor(), rest.data(), static_cast<unsigned>(rest.size()),
-                       item.request.offset());
-    io_uring_sqe_set_data64(entry, key);
-    submitAll();
-  }
-  void submitWakeup() {
-    io_uring_sqe* entry = io_uring_get_sqe(&ring_);
-    io_uring_prep_nop(entry);
-    io_uring_sqe_set_data64(entry, kWakeup);
-    submitAll();
-  }
-  void submitAll() {
-    for (int rc; (rc = io_uring_submit(&ring_)) < 0;)
-      if (rc != -EINTR && rc != -EAGAIN && rc != -EBUSY) FF_CHECK_EQ(rc, 0);
+    io_uring_prep_read(entry, item.request.descriptor(), rest.data(), static_cast<unsigned>(rest.size()), item.request.offset());
+    io_uring_sqe_set_data64(entry, place);
+    int rc = 0;
+    do rc = io_uring_submit(&ring_);
+    while (rc == -EINTR || rc == -EAGAIN || rc == -EBUSY);
+    item.submitted = rc >= 0;
+    submitted_ += item.submitted;
+    broken_ = broken_ || rc < 0;
   }
 
   void complete() {
     for (;;) {
-      io_uring_cqe* completion = nullptr;
-      if (const int rc = io_uring_wait_cqe(&ring_, &completion); rc < 0) {
-        FF_CHECK_EQ(rc, -EINTR);
+      std::unique_ptr<Item> item;
+      {
+        std::unique_lock lock(mutex_);
+        wake_.wait(lock, [this] { return submitted_ > 0 || (broken_ && anyLeft()) || (stop_ && !anyLeft()); });
+        if (submitted_ == 0 && !anyLeft()) return;
+        if (submitted_ == 0) item = takeLeft();
+      }
+      if (item) {
+        readItself(item->request);
+        answer(*item);
         continue;
       }
-      const uint64_t key = io_uring_cqe_get_data64(completion);
+      io_uring_cqe* completion = nullptr;
+      if (const int rc = io_uring_wait_cqe(&ring_, &completion); rc < 0) {
+        if (rc != -EINTR) giveUp(-rc);
+        continue;
+      }
+      const auto place = static_cast<size_t>(io_uring_cqe_get_data64(completion));
       const int outcome = completion->res;
       io_uring_cqe_seen(&ring_, completion);
-      if (key == kWakeup) return;
-      std::unique_ptr<Item> item = advance(key, outcome);
-      if (item) {
-        item->done(item->request.id(), item->request.take());
-        if (lastOne()) return;
-      }
+      if (const std::unique_ptr<Item> finished = advance(place, outcome)) answer(*finished);
+    }
+  }
+
+  static void answer(Item& item) {
+    Result<std::vector<std::byte>> bytes = Error{ErrorCode::kIo, "", "", "out of memory", ""};
+    try {
+      bytes = item.request.take();
+    } catch (const std::bad_alloc&) {  // for the line of an error
+    }
+    item.done(item.request.id(), std::move(bytes));
+  }
+
+  // Of a ring that takes no more, with mutex_ held.
+  std::unique_ptr<Item> takeLeft() {
+    for (auto& item : in_flight_)
+      if (item) return std::move(item);
+    std::unique_ptr<Item> item = std::move(waiting_.front());
+    waiting_.pop_front();
+    return item;
+  }
+  static void readItself(FileRequest& request) {
+    while (!request.finished()) {
+      const std::span<std::byte> rest = request.remaining();
+      const ssize_t n = ::pread(request.descriptor(), rest.data(), rest.size(), static_cast<off_t>(request.offset()));
+      if (n >= 0 || errno != EINTR) request.advance(n >= 0 ? n : -errno);
+    }
+  }
+
+  // Completions cannot be had any more. The kernel may still write to what it was given: that memory is never used again.
+  void giveUp(int code) {
+    std::array<std::unique_ptr<Item>, kRingEntries> lost;
+    {
+      const std::lock_guard lock(mutex_);
+      broken_ = true;
+      submitted_ = 0;
+      for (size_t place = 0; place < kRingEntries; ++place)
+        if (in_flight_[place] && in_flight_[place]->submitted) lost[place] = std::move(in_flight_[place]);
+    }
+    for (auto& item : lost) {
+      if (!item) continue;
+      item->request.advance(-code);
+      answer(*item);
+      (void)item.release();
     }
   }
 
   // The finished item, or null while it goes on. Locking also orders the submitter's writes before this thread's reads.
-  std::unique_ptr<Item> advance(uint64_t key, int outcome) {
+  std::unique_ptr<Item> advance(size_t place, int outcome) {
     const std::lock_guard lock(mutex_);
-    auto found = in_flight_.find(key);
-    Item& item = *found->second;
+    Item& item = *in_flight_[place];
+    item.submitted = false;
+    --submitted_;
     if (outcome != -EINTR && outcome != -EAGAIN) item.request.advance(outcome);
     if (!item.request.finished()) {
-      submitRead(key, item);
+      if (!broken_) submitRead(place);
       return nullptr;
     }
-    std::unique_ptr<Item> finished = std::move(found->second);
-    in_flight_.erase(found);
+    std::unique_ptr<Item> finished = std::move(in_flight_[place]);
     submitWaiting();
     return finished;
-  }
-
-  bool lastOne() {
-    const std::lock_guard lock(mutex_);
-    return stop_ && in_flight_.empty();
   }
 
   const formats::World& world_;
   io_uring ring_{};
   std::mutex mutex_;
-  std::unordered_map<uint64_t, std::unique_ptr<Item>> in_flight_;
+  std::condition_variable wake_;
+  std::array<std::unique_ptr<Item>, kRingEntries> in_flight_;  // by the user data of the kernel's requests
   std::deque<std::unique_ptr<Item>> waiting_;
-  uint64_t next_key_ = 1;
-  bool stop_ = false;
+  uint32_t submitted_ = 0;  // of in_flight_
+  bool stop_ = false, broken_ = false;
   std::thread thread_;
 };
 

@@ -7,6 +7,9 @@
 #include <fstream>
 #include <iterator>
 #include <map>
+#include <new>
+#include <stdexcept>
+#include <system_error>
 
 #include "formats/reader.h"
 #include "tests/bake/variants.h"
@@ -70,6 +73,28 @@ TEST_F(Bake, HasAKeyOfItsOwnForWhateverChangesItsBytes) {
   for (size_t i = 0; i < keys.size(); ++i)
     for (size_t j = 0; j < i; ++j) EXPECT_NE(keys[i], keys[j]) << i << " " << j;
   EXPECT_EQ(keys[0], keyOf({.threads = 3, .memory_bytes = 1 << 30}));
+}
+
+TEST_F(Bake, WhateverRunsOutIsAnErrorWithARemedy) {
+  const auto refusal = [&](auto thrown) {
+    BakeSettings settings{.cell_m = 0.5f, .rays = 16, .quanta = 16};
+    settings.announce = [thrown](const BakeEstimate&) { throw thrown; };
+    const auto stats = bakeWorld(parallelSquares(), settings, path("w.ffm"));
+    EXPECT_FALSE(stats);
+    if (stats) return std::string();
+    EXPECT_EQ(stats.error().code, ErrorCode::kIo);
+    EXPECT_FALSE(stats.error().remedy.empty());
+    return stats.error().message;
+  };
+  EXPECT_EQ(refusal(std::bad_alloc()), "the bake ran out of memory");
+  EXPECT_NE(refusal(std::system_error(std::make_error_code(std::errc::resource_unavailable_try_again))).find("out of threads"), std::string::npos);
+  EXPECT_EQ(refusal(std::runtime_error("OpenVDB says no")), "the bake cannot go on: OpenVDB says no");
+  EXPECT_TRUE(std::filesystem::is_empty(folder_));
+}
+
+TEST_F(Bake, GoesOnWhereItsProgressCannotBeShown) {
+  const auto closed = [](const char*, uint64_t, uint64_t) { throw std::runtime_error("the terminal is gone"); };
+  EXPECT_TRUE(bakeWorld(parallelSquares(), {.cell_m = 0.5f, .rays = 16, .quanta = 16}, path("w.ffm"), closed));
 }
 
 TEST_F(Bake, AClosedBoxKeepsAllEnergyAtEveryLevel) {

@@ -7,7 +7,9 @@
 
 #include "bake/bake.h"
 #include "bake/gltf_import.h"
+#include "runtime/facet_scene.h"
 #include "tests/bake/analytic_scenes.h"
+#include "tests/formats/random_world.h"
 #include "tests/runtime/radiance_oracle.h"
 #include "tests/stream/counted_memory.h"
 #include "tools/scene_glb.h"
@@ -173,6 +175,23 @@ Errors errorsInTown(const ProbeSettings& settings, int observers) {
     }
   }
   return errors;
+}
+
+TEST(FacetScenes, GoOnWithWhatTheyHaveWhileMemoryIsLacking) {
+  const formats::TemporaryFolder folder;
+  ASSERT_TRUE(formats::writeWorld(formats::makeRandomWorld({}), folder.file("w.ffm"), 1 << 20));
+  const auto world = formats::World::open(folder.file("w.ffm"));
+  ASSERT_TRUE(world) << world.error().line();
+  FacetScenes scenes(*world, 1 << 26);
+  refuseOthersEveryNth(1);
+  scenes.moveTo({});
+  scenes.settle();
+  refuseOthersEveryNth(0);
+  EXPECT_TRUE(scenes.starved());
+  EXPECT_EQ(scenes.tiles(), 0u);
+  scenes.moveTo({1000, 0, 0});
+  scenes.settle();
+  EXPECT_EQ(scenes.tiles(), world->tiles(0).size());
 }
 
 // The oracle finds patches with Embree and knows every patch's radiosity; the probes meet triangles by their own trees,

@@ -12,4 +12,7 @@ struct MemoryCalls {
 // Calls of this thread so far.
 MemoryCalls memoryCalls();
 
+// From now on every n-th allocation of all other threads throws std::bad_alloc; 0: none does.
+void refuseOthersEveryNth(uint32_t n);
+
 }  // namespace ff

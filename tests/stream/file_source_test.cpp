@@ -1,6 +1,8 @@
 #include "stream/file_source.h"
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <condition_variable>
 #include <filesystem>
@@ -146,6 +148,36 @@ TEST(FileSourceOfMemory, ReadsWithThreads) {
   ASSERT_TRUE(bytes) << bytes.error().line();
   formats::Strip strip;
   EXPECT_TRUE(world->decodeStrip(tile.id, *bytes, strip));
+}
+
+// As where a sandbox closes in while the program runs: the ring's descriptor is something else from one read to the next.
+TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
+  const Opened opened;
+  auto source = makeUringSource(*opened.world);
+  if (!source) GTEST_SKIP() << source.error().line();
+  Collector collector;
+  (*source)->read({0, 0}, collector.callback());
+  collector.await(1);
+  int ring = -1;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc/self/fd")) {
+    std::error_code gone;
+    if (std::filesystem::read_symlink(entry, gone) == "anon_inode:[io_uring]") ring = std::stoi(entry.path().filename());
+  }
+  ASSERT_GE(ring, 0);
+  const int other = ::open("/dev/null", O_RDONLY | O_CLOEXEC);
+  ASSERT_EQ(::dup2(other, ring), ring);
+  ::close(other);
+  size_t asked = 1;
+  for (const formats::TileInfo& info : opened.world->tiles(0)) {
+    (*source)->read(info.id, collector.callback());
+    ++asked;
+  }
+  collector.await(asked);
+  formats::Strip strip;
+  for (const auto& [id, bytes] : collector.arrived) {
+    ASSERT_TRUE(bytes) << bytes.error().line();
+    EXPECT_TRUE(opened.world->decodeStrip(id, *bytes, strip));
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"),

@@ -113,6 +113,31 @@ TEST_F(FramePath, TheCounterSeesWhatThisThreadAllocatesAndFreesAndNoOther) {
   EXPECT_EQ(after.freed - between.freed, 1u);
 }
 
+TEST_F(FramePath, MemoryThatRunsOutOnOtherThreadsIsAFailureOfStripsThatComeLater) {
+  for (const char* kind : {"io_uring", "threads"}) {
+    auto uring = makeUringSource(*world_);
+    if (!uring && kind == std::string("io_uring")) continue;
+    const auto streamer = make({.radius_m = 8, .decode_threads = 2}, kind == std::string("threads") ? makeThreadSource(*world_) : std::move(*uring));
+    const auto visit = [&](std::initializer_list<Vec3> places) {
+      for (const Vec3 at : places) {
+        streamer->update(at, {});
+        ASSERT_TRUE(streamer->settle());
+      }
+    };
+    visit({{10, 1, 10}});
+    refuseOthersEveryNth(7);
+    visit({{50, 1, 50}, {10, 1, 50}, {10, 1, 10}});
+    refuseOthersEveryNth(0);
+    EXPECT_GT(streamer->stats().failed, 0u) << kind;
+    EXPECT_NE(streamer->lastFailure().find("out of memory"), std::string::npos) << streamer->lastFailure();
+    const uint64_t failed = streamer->stats().failed;
+    visit({{50, 1, 50}});
+    EXPECT_EQ(streamer->stats().failed, failed);
+    EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+    EXPECT_EQ(streamer->active().front()->id.level, 0u);
+  }
+}
+
 // read() itself blocks until it is let go.
 class StuckSource final : public TileSource {
  public:
