@@ -36,7 +36,7 @@ class VulkanRecording final : public Recording {
     if (world.solver.fellBack()) return world.readRadiosity();
     const LocalMatrix& matrix = world.updater.matrix();
     if (world.frame_stats.matrix_changed)
-      for (const uint32_t t : world.updater.assembler().change().entered)
+      for (const uint32_t t : world.updater.change().entered)
         entered_[matrix.tiles[t].first_slot] = records_;
     readBack(world, arrived);
     recordReadBack(matrix.slots());

@@ -107,7 +107,7 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   const auto& tiles = assembler_.matrix().tiles;
   tiles_before_.assign(tiles.begin(), tiles.end());
   if (auto updated = assembler_.update(streamer_.active()); !updated) return updated.error();
-  const bool changed = assembler_.change().any;
+  const bool changed = assembler_.change().any || missed_;
   if (changed)
     if (auto taken = takeUpChange(); !taken) return taken.error();
   if (sky_changed_ || light_changed_ || lamps_changed_)
@@ -125,9 +125,14 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
 Result<void> Updater::takeUpChange() {
   const LocalMatrix& m = matrix();
   const MatrixChange& change = assembler_.change();
-  const bool carry = started_ && change.renumbered;
-  if (carry) {  // radiosity_ has the size of the matrix before
-    if (auto read = solver_.radiosity(radiosity_); !read) return read.error();
+  Result<void> read;
+  const bool carry = started_ && (change.renumbered || missed_);
+  if (carry) {
+    if (missed_) {
+      radiosity_.assign(before_.begin(), before_.end());
+    } else if (read = solver_.radiosity(radiosity_); !read) {  // radiosity_ has the size of the matrix before
+      std::fill(radiosity_.begin(), radiosity_.end(), Vec4{});
+    }
     before_.assign(m.slots(), {});
     carryOver(world_, tiles_before_, radiosity_, m, before_);
   }
@@ -148,10 +153,26 @@ Result<void> Updater::takeUpChange() {
   counts_.entries = m.used_entries;
   for (const SlotRange& range : m.tiles)
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
-  if (auto updated = solver_.update(m, change); !updated) return updated.error();
+
+  const bool missed = std::exchange(missed_, true);
+  if (!carry) before_.assign(m.slots(), {});
+  if (!read) return read;
+  told_ = missed ? &wholeMatrix() : &change;
+  if (auto updated = solver_.update(m, *told_); !updated) return updated;
   if (carry)
-    if (auto set = solver_.setRadiosity(before_); !set) return set.error();
-  return solver_.setSource(source_);
+    if (auto set = solver_.setRadiosity(before_); !set) return set;
+  if (auto set = solver_.setSource(source_); !set) return set;
+  missed_ = false;
+  return {};
+}
+
+// The matrix as a change: for a solver that does not know what it has missed.
+const MatrixChange& Updater::wholeMatrix() {
+  whole_.any = whole_.renumbered = true;
+  whole_.entered.clear();
+  for (size_t t = matrix().tiles.size(); t-- > 0;) whole_.entered.push_back(static_cast<uint32_t>(t));
+  whole_.rows = whole_.entered;
+  return whole_;
 }
 
 void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
@@ -194,8 +215,10 @@ Result<void> Updater::relightAll() {
   for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_, lamps_changed_);
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   emission_change_ += lamps_changed_;
-  sky_changed_ = light_changed_ = lamps_changed_ = false;
-  return solver_.setSource(source_);
+  light_changed_ = lamps_changed_ = false;
+  auto set = solver_.setSource(source_);
+  sky_changed_ = !set;  // else once more in the next frame
+  return set;
 }
 
 Result<Settled> Updater::converge(float tolerance, int max_iterations) {

@@ -48,13 +48,16 @@ class Updater {
   Result<void> setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance);
 
   // Runs one frame. iterations: k. Radiosity carries over from the last frame by node, so light lags by at most a few
-  // frames after a change of the cut.
+  // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
+  // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations);
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
   Result<Settled> converge(float tolerance, int max_iterations);
 
   const LocalMatrix& matrix() const;  // of the last frame
   const MatrixAssembler& assembler() const { return assembler_; }
+  // What the solver was told of the matrix, by the last frame that says matrix_changed.
+  const MatrixChange& change() const { return *told_; }
   // Per slot, W/m2, rgb and 0:
   std::span<const Vec4> source() const { return source_; }      // albedo * what arrives without a bounce: the solver's source
   std::span<const Vec4> emission() const { return emission_; }  // what the slot's surface emits now
@@ -67,6 +70,7 @@ class Updater {
 
  private:
   Result<void> takeUpChange();
+  const MatrixChange& wholeMatrix();
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;
@@ -83,10 +87,13 @@ class Updater {
   std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
   std::vector<Vec3> lamp_irradiance_;     // likewise
-  std::vector<Vec4> radiosity_, before_;  // per slot; scratch of takeUpChange() and converge()
+  std::vector<Vec4> radiosity_, before_;  // per slot; of takeUpChange(), scratch of converge()
   std::vector<SlotRange> tiles_before_;
   FrameStats counts_;  // of the matrix
   uint64_t emission_change_ = 0;
+  bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
+  MatrixChange whole_;
+  const MatrixChange* told_ = &whole_;
   bool started_ = false, sky_changed_ = false, light_changed_ = false, lamps_changed_ = false;
   uint32_t light_zeroed_ = 0;  // in this frame
   std::string light_fault_;

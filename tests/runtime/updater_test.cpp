@@ -286,5 +286,79 @@ TEST(Updater, WhatIsReflectedCarriesOverByNodeWhenTheCutChanges) {
   EXPECT_GT(inherited, 0);
 }
 
+// Refuses what it is told for a while, as a device that has no room for a cut does.
+class Refusing final : public Solver {
+ public:
+  int updates = 0, sources = 0;  // to refuse
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
+    return updates-- > 0 ? refusal() : good_->update(matrix, change);
+  }
+  Result<void> setSource(std::span<const Vec4> source) override { return sources-- > 0 ? refusal() : good_->setSource(source); }
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override { return good_->setRadiosity(radiosity); }
+  Result<void> iterate(int k) override { return good_->iterate(k); }
+  Result<void> radiosity(std::span<Vec4> out) override { return good_->radiosity(out); }
+  double lastMs() const override { return 0; }
+  const char* name() const override { return "refusing"; }
+
+ private:
+  static Result<void> refusal() { return Error{ErrorCode::kIo, "", "", "refused", ""}; }
+  std::unique_ptr<Solver> good_ = makeCpuGather(2);
+};
+
+TEST(Updater, TellsASolverAgainWhatItRefusedUntilItTakesIt) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  Walker expected(test);
+  const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
+  Refusing solver;
+  Updater updater(test.world(), *streamer, solver);
+  ASSERT_TRUE(updater.setSky(kSky));
+  updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
+    const formats::TileInfo& info = test.world().tiles(id.level)[id.tile];
+    for (uint32_t i = 0; i < info.nodes; ++i) out[i] = directAt(id.level, info.first_node + i);
+  });
+  const auto expectTheLightOf = [&](const Sky& sky, Vec3 at) {
+    ASSERT_TRUE(expected.updater.setSky(sky));
+    ASSERT_TRUE(expected.updater.frame(at, {}, 1));
+    ASSERT_TRUE(expected.streamer->settle());
+    ASSERT_TRUE(expected.updater.frame(at + Vec3{0, 0, 0.01f}, {}, 1));
+    ASSERT_TRUE(expected.updater.converge(1e-6f, 1000));
+    ASSERT_TRUE(updater.converge(1e-6f, 1000));
+    std::vector<Vec4> radiosity(updater.matrix().slots());
+    ASSERT_TRUE(updater.radiosity(radiosity));
+    const std::vector<Vec4> right = expected.radiosity();
+    ASSERT_EQ(updater.matrix().tiles.size(), expected.updater.matrix().tiles.size());
+    for (const SlotRange& range : expected.updater.matrix().tiles)
+      for (uint32_t i = 0; i < range.nodes; ++i) {
+        const Vec4& r = right[range.first_slot + i];
+        expectClose(radiosity[updater.matrix().slotOf(range.id.level, range.first_node + i)], {r.x, r.y, r.z});
+      }
+  };
+  // The first cut of all, a later one, and one more that comes before that has been taken up.
+  Vec3 at{10, 1, 10};
+  for (const Vec3 next : {Vec3{10, 1, 10}, Vec3{40, 1, 40}, Vec3{20, 1, 50}}) {
+    solver.updates = 3;
+    at = next;
+    int refused = 0;
+    for (int frame = 0; frame < 3; ++frame) {
+      ASSERT_TRUE(streamer->settle());
+      refused += !updater.frame(frame == 1 ? at + Vec3{6, 0, 0} : at, {}, 1);
+    }
+    EXPECT_EQ(refused, 3);
+    const auto taken = updater.frame(at, {}, 1);
+    ASSERT_TRUE(taken) << taken.error().line();
+    EXPECT_TRUE(taken->matrix_changed);
+    expectTheLightOf(kSky, at);
+  }
+  // And light alone.
+  Sky dim = kSky;
+  dim.l0 = {0.5f, 0.25f, 0};
+  ASSERT_TRUE(updater.setSky(dim));
+  solver.sources = 2;
+  EXPECT_FALSE(updater.frame(at, {}, 1));
+  EXPECT_FALSE(updater.frame(at, {}, 1));
+  EXPECT_TRUE(updater.frame(at, {}, 1));
+  expectTheLightOf(dim, at);
+}
+
 }  // namespace
 }  // namespace ff::runtime
