@@ -15,18 +15,18 @@ Error absent(const std::string& path) { return {ErrorCode::kIo, path, "", "there
 
 class MemoryFile final : public StoredFile {
  public:
-  MemoryFile(std::string path, std::shared_ptr<const std::vector<std::byte>> bytes) : path_(std::move(path)), bytes_(std::move(bytes)) {}
+  MemoryFile(std::string path, std::shared_ptr<const std::vector<std::byte>> bytes) : StoredFile(std::move(path)), bytes_(std::move(bytes)) {}
   uint64_t bytes() const override { return bytes_->size(); }
-  Result<void> read(uint64_t offset, std::span<std::byte> out) const override {
+
+ private:
+  Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
     if (offset > bytes_->size() || out.size() > bytes_->size() - offset)
-      return Error{ErrorCode::kInvalidFile, path_, "offset " + std::to_string(bytes_->size()), "the file ends here",
+      return Error{ErrorCode::kInvalidFile, path(), "offset " + std::to_string(bytes_->size()), "the file ends here",
                    "restore this file from a copy, or bake again"};
     std::copy_n(bytes_->begin() + static_cast<std::ptrdiff_t>(offset), out.size(), out.begin());
     return {};
   }
 
- private:
-  std::string path_;
   std::shared_ptr<const std::vector<std::byte>> bytes_;
 };
 

@@ -34,26 +34,26 @@ class Descriptor {
 
 class PosixFile final : public StoredFile {
  public:
-  PosixFile(Descriptor fd, std::string path, uint64_t bytes) : fd_(std::move(fd)), path_(std::move(path)), bytes_(bytes) {}
+  PosixFile(Descriptor fd, std::string path, uint64_t bytes) : StoredFile(std::move(path)), fd_(std::move(fd)), bytes_(bytes) {}
   uint64_t bytes() const override { return bytes_; }
   int descriptor() const override { return fd_.get(); }
-  Result<void> read(uint64_t offset, std::span<std::byte> out) const override {
+
+ private:
+  Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
     size_t done = 0;
     while (done < out.size()) {
       const ssize_t n = ::pread(fd_.get(), out.data() + done, out.size() - done, static_cast<off_t>(offset + done));
       if (n < 0 && errno == EINTR) continue;
-      if (n < 0) return systemError(path_, "cannot read at offset " + std::to_string(offset + done));
+      if (n < 0) return systemError(path(), "cannot read at offset " + std::to_string(offset + done));
       if (n == 0)
-        return Error{ErrorCode::kInvalidFile, path_, "offset " + std::to_string(offset + done), "the file ends here",
+        return Error{ErrorCode::kInvalidFile, path(), "offset " + std::to_string(offset + done), "the file ends here",
                      "restore this file from a copy, or bake again"};
       done += static_cast<size_t>(n);
     }
     return {};
   }
 
- private:
   Descriptor fd_;
-  std::string path_;
   uint64_t bytes_;
 };
 

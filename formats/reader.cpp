@@ -216,10 +216,10 @@ Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, St
   return {};
 }
 
-Result<void> World::readStored(TileId id, std::span<std::byte> out) const {
+Result<void> World::readStored(TileId id, std::span<std::byte> out, const ReadOptions& options) const {
   const TileInfo& info = state_->tiles[id.level][id.tile];
   FF_CHECK_EQ(out.size(), size_t{info.stored_bytes});
-  return state_->files[info.shard]->read(info.offset, out);
+  return state_->files[info.shard]->read(info.offset, out, options);
 }
 
 Result<Strip> World::strip(TileId id) const {

@@ -50,7 +50,7 @@ class World {
   // `out`, whose vectors are reused. Checks the checksum (mixed with id and offset) and every rule of FORMAT.md.
   Result<void> decodeStrip(TileId id, std::span<const std::byte> stored, Strip& out) const;
   // Reads them; out: TileInfo::stored_bytes.
-  Result<void> readStored(TileId id, std::span<std::byte> out) const;
+  Result<void> readStored(TileId id, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // Reads and decodes.
   Result<Strip> strip(TileId id) const;
   // Drawing geometry of a level-0 tile; kInvalidFile if the world has none.

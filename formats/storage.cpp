@@ -1,6 +1,23 @@
 #include "formats/storage.h"
 
+#include <algorithm>
+
 namespace ff::formats {
+
+const char* whyReadEnds(const ReadOptions& options) {
+  if (options.cancelled && options.cancelled->load()) return "the read was cancelled";
+  const bool timed = options.deadline != std::chrono::steady_clock::time_point::max();
+  return timed && std::chrono::steady_clock::now() >= options.deadline ? "the read was not done by its deadline" : nullptr;
+}
+
+Result<void> StoredFile::read(uint64_t offset, std::span<std::byte> out, const ReadOptions& options) const {
+  for (size_t n = 0; !out.empty(); offset += n, out = out.subspan(n)) {
+    if (const char* why = whyReadEnds(options)) return Error{ErrorCode::kIo, path_, "offset " + std::to_string(offset), why, ""};
+    n = std::min(out.size(), kReadPiece);
+    if (auto ok = readPiece(offset, out.first(n)); !ok) return ok;
+  }
+  return {};
+}
 
 std::string folderOf(const std::string& path) {
   const size_t slash = path.rfind('/');

@@ -1,27 +1,48 @@
 // Where a world's files lie: all reading and writing of manifests, shards and settings goes through here. POSIX files, files
 // in memory, and (in tests) a faulty one. Paths are whole paths with '/'.
 #pragma once
+#include <atomic>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "formats/result.h"
 
 namespace ff::formats {
 
+// What ends a read before it is done, with an error (kIo). Looked at before every piece of kReadPiece bytes: a piece that has begun is not interrupted.
+struct ReadOptions {
+  const std::atomic<bool>* cancelled = nullptr;  // once it is true; outlives the read. Null: nobody cancels it.
+  std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
+};
+inline constexpr size_t kReadPiece = 1 << 20;
+// Why a read ends now, as a message; null: it goes on.
+const char* whyReadEnds(const ReadOptions& options);
+
 // Open for reading until it is destroyed, whatever becomes of its name.
 class StoredFile {
  public:
+  explicit StoredFile(std::string path) : path_(std::move(path)) {}
   virtual ~StoredFile() = default;
+  const std::string& path() const { return path_; }
   virtual uint64_t bytes() const = 0;  // when it was opened
-  // Fills `out` from `offset` on. Thread-safe. Errors name the file and the offset: kIo; kInvalidFile where the file ends early.
-  virtual Result<void> read(uint64_t offset, std::span<std::byte> out) const = 0;
+  // Fills `out`, which is the caller's, from `offset` on. Thread-safe. Errors name the file and the offset: kIo; kInvalidFile where the file
+  // ends early. `out` is unspecified then.
+  Result<void> read(uint64_t offset, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // For those who read with means of their own (io_uring); -1: there is none.
   virtual int descriptor() const { return -1; }
+
+ private:
+  // The same for at most kReadPiece bytes.
+  virtual Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const = 0;
+
+  const std::string path_;
 };
 
 // Open for writing; grows at its end. Not thread-safe.

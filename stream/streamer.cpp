@@ -25,7 +25,7 @@ Result<StripPtr> loadNow(const formats::World& world, TileSource& source, TileId
   for (int attempt = 0;; ++attempt) {
     auto promise = std::make_shared<std::promise<Result<std::vector<std::byte>>>>();
     auto future = promise->get_future();
-    source.read(id, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
+    source.read(id, {}, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
     const Result<std::vector<std::byte>> bytes = future.get();
     auto strip = bytes ? decodeAndPack(world, id, *bytes) : Result<StripPtr>(bytes.error());
     if (strip || attempt == 1) return strip;

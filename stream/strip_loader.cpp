@@ -45,7 +45,7 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
 StripLoader::~StripLoader() {
   {
     const std::lock_guard lock(pipeline_mutex_);
-    stop_ = true;
+    stop_ = cancel_reads_ = true;
   }
   wake();
   for (std::thread& thread : threads_) thread.join();
@@ -166,7 +166,7 @@ void StripLoader::freeRetired() {
 
 void StripLoader::startReads() {
   while (const std::optional<TileId> id = nextRead()) try {
-      source_.read(*id, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+      source_.read(*id, {.cancelled = &cancel_reads_}, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
     } catch (const std::bad_alloc&) {
       onRead(*id, Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
     }

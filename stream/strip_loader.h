@@ -40,7 +40,7 @@ class StripLoader {
   // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
   // most_queued: tiles in a queue, at most.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t most_queued);
-  // Drops the queue and waits for the reads that are under way.
+  // Drops the queue, cancels the reads that are under way and waits for their answers.
   ~StripLoader();
 
   // The owner's calls.
@@ -117,6 +117,7 @@ class StripLoader {
   Error failure_;
   uint32_t reads_ = 0;  // callbacks still to come
   bool stop_ = false;
+  std::atomic<bool> cancel_reads_{false};
 
   // A tile is counted by the next of these before the one before forgets it, so that reading them in this order misses
   // none.

@@ -7,6 +7,7 @@
 
 #include "formats/layout.h"
 #include "formats/result.h"
+#include "formats/storage.h"
 
 namespace ff::stream {
 
@@ -14,9 +15,9 @@ class TileSource {
  public:
   using Done = std::function<void(formats::TileId, Result<std::vector<std::byte>>)>;
   virtual ~TileSource() = default;
-  // Calls `done` exactly once, from any thread but never from inside read(), and not at all where read() throws std::bad_alloc. A request cannot be taken back once it is
-  // in flight; the streamer cancels by dropping what is still queued on its side.
-  virtual void read(formats::TileId id, Done done) = 0;
+  // Calls `done` exactly once, from any thread but never from inside read(), and not at all where read() throws std::bad_alloc.
+  // options: of formats/storage.h; what waits behind other reads is answered when its turn comes.
+  virtual void read(formats::TileId id, const formats::ReadOptions& options, Done done) = 0;
   virtual const char* name() const = 0;  // "io_uring", "threads", "memory"
 };
 

@@ -55,8 +55,8 @@ class UringSource final : public TileSource {
     return {};
   }
 
-  void read(formats::TileId id, Done done) override {
-    auto item = std::make_unique<Item>(Item{FileRequest(world_, id), std::move(done)});
+  void read(formats::TileId id, const formats::ReadOptions& options, Done done) override {
+    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, options), std::move(done)});
     const std::lock_guard lock(mutex_);
     waiting_.push_back(std::move(item));
     submitWaiting();
@@ -88,11 +88,15 @@ class UringSource final : public TileSource {
     }
     wake_.notify_one();
   }
-  // Where the kernel does not take it, the item stays for readItself().
+  // Where it ends now, or the kernel does not take it, the item stays for takeLeft().
   void submitRead(size_t place) {
+    Item& item = *in_flight_[place];
+    if (item.request.endsNow()) {
+      ++ended_;
+      return;
+    }
     // There is always an entry: in flight at most kRingEntries, and each is submitted at once.
     io_uring_sqe* entry = io_uring_get_sqe(&ring_);
-    Item& item = *in_flight_[place];
     const std::span<std::byte> rest = item.request.remaining();
     io_uring_prep_read(entry, item.request.descriptor(), rest.data(), static_cast<unsigned>(rest.size()), item.request.offset());
     io_uring_sqe_set_data64(entry, place);
@@ -109,9 +113,9 @@ class UringSource final : public TileSource {
       std::unique_ptr<Item> item;
       {
         std::unique_lock lock(mutex_);
-        wake_.wait(lock, [this] { return submitted_ > 0 || (broken_ && anyLeft()) || (stop_ && !anyLeft()); });
+        wake_.wait(lock, [this] { return submitted_ + ended_ > 0 || (broken_ && anyLeft()) || (stop_ && !anyLeft()); });
         if (submitted_ == 0 && !anyLeft()) return;
-        if (submitted_ == 0) item = takeLeft();
+        if (ended_ > 0 || submitted_ == 0) item = takeLeft();
       }
       if (item) {
         readItself(item->request);
@@ -139,16 +143,21 @@ class UringSource final : public TileSource {
     item.done(item.request.id(), std::move(bytes));
   }
 
-  // Of a ring that takes no more, with mutex_ held.
+  // What the kernel has nothing to do with, with mutex_ held: there is some.
   std::unique_ptr<Item> takeLeft() {
-    for (auto& item : in_flight_)
-      if (item) return std::move(item);
+    for (auto& place : in_flight_)
+      if (place && !place->submitted) {
+        std::unique_ptr<Item> item = std::move(place);
+        ended_ -= item->request.finished();
+        submitWaiting();
+        return item;
+      }
     std::unique_ptr<Item> item = std::move(waiting_.front());
     waiting_.pop_front();
     return item;
   }
   static void readItself(FileRequest& request) {
-    while (!request.finished()) {
+    while (!request.endsNow()) {
       const std::span<std::byte> rest = request.remaining();
       const ssize_t n = ::pread(request.descriptor(), rest.data(), rest.size(), static_cast<off_t>(request.offset()));
       if (n >= 0 || errno != EINTR) request.advance(n >= 0 ? n : -errno);
@@ -195,7 +204,7 @@ class UringSource final : public TileSource {
   std::condition_variable wake_;
   std::array<std::unique_ptr<Item>, kRingEntries> in_flight_;  // by the user data of the kernel's requests
   std::deque<std::unique_ptr<Item>> waiting_;
-  uint32_t submitted_ = 0;  // of in_flight_
+  uint32_t submitted_ = 0, ended_ = 0;  // of in_flight_: what the kernel has; what is over and not answered yet
   bool stop_ = false, broken_ = false;
   std::thread thread_;
 };

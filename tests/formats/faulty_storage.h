@@ -1,6 +1,7 @@
 // Storage that fails when it is told to: the n-th call, once or from then on, as if the process had been killed there.
 #pragma once
 #include <atomic>
+#include <functional>
 
 #include "formats/storage.h"
 
@@ -14,6 +15,7 @@ class FaultyStorage final : public Storage {
   uint64_t fail_at = ~uint64_t{0};  // number of the call
   bool for_ever = false;            // and all that follow
   bool folders_can_sync = true;
+  std::function<void()> on_read{};  // with every piece that is read: to take its time, for one
 
   Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
     if (fails()) return fault(path);
@@ -56,16 +58,17 @@ class FaultyStorage final : public Storage {
   class File final : public StoredFile {
    public:
     File(FaultyStorage& storage, std::string path, std::unique_ptr<StoredFile> below)
-        : storage_(storage), path_(std::move(path)), below_(std::move(below)) {}
+        : StoredFile(std::move(path)), storage_(storage), below_(std::move(below)) {}
     uint64_t bytes() const override { return below_->bytes(); }
-    Result<void> read(uint64_t offset, std::span<std::byte> out) const override {
-      if (storage_.fails()) return fault(path_, "offset " + std::to_string(offset));
+
+   private:
+    Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
+      if (storage_.fails()) return fault(path(), "offset " + std::to_string(offset));
+      if (storage_.on_read) storage_.on_read();
       return below_->read(offset, out);
     }
 
-   private:
     FaultyStorage& storage_;
-    std::string path_;
     std::unique_ptr<StoredFile> below_;
   };
   class Writing final : public NewFile {

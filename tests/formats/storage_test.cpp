@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <functional>
 #include <optional>
+#include <thread>
 
 #include "formats/memory_storage.h"
 #include "formats/reader.h"
@@ -55,6 +56,44 @@ TEST_P(StorageContract, AnOpenFileOutlivesItsName) {
   ASSERT_TRUE(storage_->remove(path("a")));
   ASSERT_TRUE((*file)->read(0, bytes));
   EXPECT_EQ(bytes, bytesOf("old"));
+}
+
+// Piece by piece, through a storage that lets a test watch.
+TEST_P(StorageContract, AReadCanBeCancelledAndHasADeadline) {
+  const size_t pieces = 3;
+  ASSERT_TRUE(write("a", std::string(pieces * kReadPiece, 'x')));
+  FaultyStorage watched(storage_);
+  auto file = watched.open(path("a"));
+  ASSERT_TRUE(file);
+  std::vector<std::byte> bytes(pieces * kReadPiece);
+  size_t read = 0;
+  std::atomic<bool> cancelled = false;
+  watched.on_read = [&] { cancelled = ++read == 2; };
+  const auto stopped = (*file)->read(0, bytes, {.cancelled = &cancelled});
+  ASSERT_FALSE(stopped);
+  EXPECT_EQ(stopped.error().code, ErrorCode::kIo);
+  EXPECT_EQ(stopped.error().file, path("a"));
+  EXPECT_EQ(stopped.error().place, "offset " + std::to_string(2 * kReadPiece));
+  EXPECT_EQ(read, 2u);
+  watched.on_read = [&] { ++read; };
+  const auto in = [](std::chrono::milliseconds time) { return ReadOptions{.deadline = std::chrono::steady_clock::now() + time}; };
+  EXPECT_FALSE((*file)->read(0, bytes, in(std::chrono::milliseconds(0))));
+  EXPECT_EQ(read, 2u);
+  const ReadOptions soon = in(std::chrono::milliseconds(20));
+  watched.on_read = [&] { std::this_thread::sleep_until(soon.deadline); };
+  const auto late = (*file)->read(0, bytes, soon);
+  ASSERT_FALSE(late);
+  EXPECT_NE(late.error().message.find("deadline"), std::string::npos) << late.error().line();
+  watched.on_read = nullptr;
+  cancelled = false;
+  ASSERT_TRUE((*file)->read(0, bytes, {.cancelled = &cancelled, .deadline = in(std::chrono::hours(1)).deadline}));
+  EXPECT_EQ(std::count(bytes.begin(), bytes.end(), std::byte{'x'}), static_cast<std::ptrdiff_t>(bytes.size()));
+  // Of the storage itself, too.
+  auto own = storage_->open(path("a"));
+  ASSERT_TRUE(own);
+  cancelled = true;
+  EXPECT_FALSE((*own)->read(0, bytes, {.cancelled = &cancelled}));
+  EXPECT_TRUE((*own)->read(0, bytes));
 }
 
 TEST_P(StorageContract, ListsNamesInOrderAndSaysWhatIsAbsent) {

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <filesystem>
 #include <mutex>
@@ -71,7 +73,7 @@ TEST_P(FileSource, BringsTheBytesOfEveryStripOnceFromSeveralShards) {
   for (int round = 0; round < 3; ++round)  // far more than a ring holds
     for (uint32_t level = 0; level < world.levels().size(); ++level)
       for (const formats::TileInfo& info : world.tiles(level)) {
-        source->read(info.id, collector.callback());
+        source->read(info.id, {}, collector.callback());
         ++asked;
       }
   ASSERT_GT(asked, 100u);
@@ -95,7 +97,7 @@ TEST_P(FileSource, ReportsAStripThatLiesPastTheEndOfAShrunkenShard) {
   Collector collector;
   const auto source = make(world);
   if (!source) GTEST_SKIP();
-  source->read(info.id, collector.callback());
+  source->read(info.id, {}, collector.callback());
   collector.await(1);
   const auto& bytes = collector.arrived.begin()->second;
   ASSERT_FALSE(bytes);
@@ -110,9 +112,34 @@ TEST_P(FileSource, AnswersEverythingBeforeItsDestructionEnds) {
     auto source = make(*opened.world);
     if (!source) GTEST_SKIP();
     for (int i = 0; i < repeat; ++i)
-      source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, collector.callback());
+      source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, {}, collector.callback());
     source.reset();
     ASSERT_EQ(collector.arrived.size(), static_cast<size_t>(repeat));
+  }
+}
+
+TEST_P(FileSource, ReadsThatAreCancelledOrLateEndWithAnError) {
+  const Opened opened;
+  const auto source = make(*opened.world);
+  if (!source) GTEST_SKIP();
+  const std::atomic<bool> yes = true, no = false;
+  const auto now = std::chrono::steady_clock::now();
+  struct Case {
+    formats::ReadOptions options;
+    const char* message;  // null: the read is good
+  };
+  for (const Case& c : {Case{{.cancelled = &yes}, "cancelled"}, Case{{.cancelled = &no, .deadline = now}, "deadline"},
+                        Case{{.cancelled = &no, .deadline = now + std::chrono::hours(1)}, nullptr}}) {
+    Collector collector;
+    // More than the ring has places.
+    for (int i = 0; i < 200; ++i) source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, c.options, collector.callback());
+    collector.await(200);
+    for (const auto& [id, bytes] : collector.arrived) {
+      ASSERT_EQ(bytes.has_value(), c.message == nullptr);
+      if (c.message) {
+        ASSERT_NE(bytes.error().line().find(c.message), std::string::npos) << bytes.error().line();
+      }
+    }
   }
 }
 
@@ -125,7 +152,7 @@ TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
   for (uint32_t t = 0; t < 4; ++t)
     threads.emplace_back([&, t] {
       for (uint32_t i = 0; i < 50; ++i)
-        source->read({0, (t * 50 + i) % opened.world->levels()[0].tiles}, collector.callback());
+        source->read({0, (t * 50 + i) % opened.world->levels()[0].tiles}, {}, collector.callback());
     });
   for (std::thread& thread : threads) thread.join();
   collector.await(200);
@@ -142,7 +169,7 @@ TEST(FileSourceOfMemory, ReadsWithThreads) {
   EXPECT_STREQ(source->name(), "threads");
   Collector collector;
   const formats::TileInfo& tile = world->tiles(0).front();
-  source->read(tile.id, collector.callback());
+  source->read(tile.id, {}, collector.callback());
   collector.await(1);
   const auto& bytes = collector.arrived.begin()->second;
   ASSERT_TRUE(bytes) << bytes.error().line();
@@ -156,7 +183,7 @@ TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
   auto source = makeUringSource(*opened.world);
   if (!source) GTEST_SKIP() << source.error().line();
   Collector collector;
-  (*source)->read({0, 0}, collector.callback());
+  (*source)->read({0, 0}, {}, collector.callback());
   collector.await(1);
   int ring = -1;
   for (const auto& entry : std::filesystem::directory_iterator("/proc/self/fd")) {
@@ -169,7 +196,7 @@ TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
   ::close(other);
   size_t asked = 1;
   for (const formats::TileInfo& info : opened.world->tiles(0)) {
-    (*source)->read(info.id, collector.callback());
+    (*source)->read(info.id, {}, collector.callback());
     ++asked;
   }
   collector.await(asked);

@@ -53,9 +53,9 @@ class FramePath : public testing::Test {
 class FaultySource final : public TileSource {
  public:
   explicit FaultySource(std::unique_ptr<TileSource> good) : good_(std::move(good)) {}
-  void read(TileId id, Done done) override {
+  void read(TileId id, const formats::ReadOptions& options, Done done) override {
     const uint32_t n = reads_++;
-    good_->read(id, [n, done = std::move(done)](TileId of, Result<std::vector<std::byte>> bytes) {
+    good_->read(id, options, [n, done = std::move(done)](TileId of, Result<std::vector<std::byte>> bytes) {
       if (n > 50 && n % 5 == 0) return done(of, Error{ErrorCode::kIo, "faulty", "", "made to fail at some length", ""});
       if (n > 50 && n % 5 == 1) (*bytes)[bytes->size() / 2] ^= std::byte{1};
       done(of, std::move(bytes));
@@ -142,9 +142,9 @@ TEST_F(FramePath, MemoryThatRunsOutOnOtherThreadsIsAFailureOfStripsThatComeLater
 class StuckSource final : public TileSource {
  public:
   explicit StuckSource(std::unique_ptr<TileSource> good) : good_(std::move(good)) {}
-  void read(TileId id, Done done) override {
+  void read(TileId id, const formats::ReadOptions& options, Done done) override {
     stuck_.wait(true);
-    good_->read(id, std::move(done));
+    good_->read(id, options, std::move(done));
   }
   void stick(bool stuck) {
     stuck_ = stuck;

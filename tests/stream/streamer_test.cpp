@@ -31,7 +31,7 @@ class StreamerTest : public testing::Test {
     for (uint32_t level = 0; level < world_->levels().size(); ++level)
       for (const formats::TileInfo& info : world_->tiles(level)) {
         std::promise<std::vector<std::byte>> promise;
-        files->read(info.id,
+        files->read(info.id, {},
                     [&](TileId, Result<std::vector<std::byte>> bytes) { promise.set_value(std::move(*bytes)); });
         bytes_[info.id] = promise.get_future().get();
       }
