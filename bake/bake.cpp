@@ -25,6 +25,7 @@
 #include "bake/pool.h"
 #include "bake/pyramid.h"
 #include "bake/ray_caster.h"
+#include "bake/row_samples.h"
 #include "bake/row_sampling.h"
 #include "bake/scene_names.h"
 #include "bake/spatial_index.h"
@@ -138,8 +139,8 @@ std::vector<formats::LampGroup> describeLamps(const LampGroups& groups, std::spa
 
 // The rows of one tile, sampled and laid out as a strip.
 formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeLevel& exchange,
-                         std::span<const NodeValues> values, std::span<const formats::LampGroup> lamp_groups,
-                         const BakeSettings& s, Sampling& sampling) {
+                         std::span<const NodeValues> values, const RowSamples& samples,
+                         std::span<const formats::LampGroup> lamp_groups, const BakeSettings& s, Sampling& sampling) {
   const auto& tiles = h.tile_start[id.level];
   formats::Strip strip;
   strip.id = id;
@@ -150,11 +151,12 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     uint16_t count;
   };
   std::vector<Entry> entries;
-  const uint32_t quanta = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
+  const uint32_t least = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
   ExchangeRow row;
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
+    const uint32_t quanta = std::min(least * samples.factor(n, row, least), formats::kMaxQuanta);
     const double offset = unitOf(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull);
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
@@ -309,6 +311,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     ProgressReport report(progress, "rays", n);
     hits = castRows(scene, *set, *caster, settings.rays, settings.seed, report.done);
   }
+  const std::vector<SunLight> sun_on_patches = sunOnPatches(scene, *set, *caster, settings.seed);
   stats.ray_seconds = since(cast_began);
   std::vector<float> sky(n), whole_area(n);
   for (size_t i = 0; i < n; ++i) {
@@ -350,6 +353,12 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     }
   }
 
+  std::vector<SunLight> sun(n);
+  for (size_t i = 0; i < n; ++i) sun[hierarchy.number[i]] = sun_on_patches[i];
+  std::vector<RowSamples> samples;
+  samples.emplace_back(*exchange[0], values[0], sun);
+  for (uint32_t l = 1; l < hierarchy.levels(); ++l)
+    samples.emplace_back(samples.back(), values[l - 1], hierarchy.parents[l - 1], hierarchy.nodes[l]);
   const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set->patches);
 
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
@@ -372,7 +381,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
         std::vector<Sampling> sampling(count);
         tbb::parallel_for(0u, count, [&](uint32_t k) {
           const formats::Strip strip =
-              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], lamp_groups, settings, sampling[k]);
+              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], samples[l], lamp_groups, settings, sampling[k]);
           Box bounds;
           for (size_t i = 0; i < strip.nodes.size(); ++i) bounds.add(values[l][strip.first_node + i].bounds);
           encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds));

@@ -29,7 +29,7 @@ struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
   uint32_t rays = 4096;           // per patch, 1..65535; more go towards lamps and where little sky is seen
-  uint32_t quanta = 512;          // Q of a patch's row, 1..65535; clusters have kClusterQuanta of it
+  uint32_t quanta = 512;          // Q of a patch's row, at least, 1..65535: row_samples.h; clusters have kClusterQuanta of it
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals
@@ -58,7 +58,7 @@ struct BakeStats {
 };
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 11;
+inline constexpr uint32_t kBakeCode = 12;
 
 // WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);

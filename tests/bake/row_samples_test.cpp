@@ -1,0 +1,107 @@
+// How many samples a row is given, against the spread of what rows with so many samples bring.
+#include "bake/row_samples.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "bake/row_sampling.h"
+#include "formats/layout.h"
+
+namespace ff::bake::test {
+namespace {
+
+// Node 0 faces 4000 others: the sky lights `bright` of them, evenly among the rest, and a lamp every `lit`th.
+class OneRow final : public ExchangeLevel {
+ public:
+  static constexpr uint32_t kOthers = 4000;
+  OneRow(uint32_t bright, uint32_t lit) : bright_(bright), lit_(lit) {}
+  uint32_t nodes() const override { return kOthers + 1; }
+  float area(uint32_t) const override { return 1; }
+  void row(uint32_t node, ExchangeRow& out) const override {
+    out = {};
+    if (node == 0) {
+      for (uint32_t j = 1; j <= kOthers; ++j) {
+        out.column.push_back(j);
+        out.area_m2.push_back((1 + 0.9 * std::sin(j)) / kOthers);
+      }
+      return;
+    }
+    if (isBright(node)) out.sky_m2 = 0.9;
+    if (lit_ > 0 && node % lit_ == 0) out.lamps.push_back({0, {9, 9, 9}});
+    out.absorbed_m2 = 1 - out.sky_m2;
+  }
+  bool isBright(uint32_t node) const { return node > 0 && node % (kOthers / bright_) == 0; }
+  std::vector<NodeValues> values() const {
+    NodeValues grey;
+    grey.node.albedo = {0.5f, 0.5f, 0.5f};
+    grey.node.area_m2 = 1;
+    return std::vector<NodeValues>(nodes(), grey);
+  }
+  uint32_t factor(uint32_t quanta) const {
+    const std::vector<SunLight> no_sun(nodes());
+    ExchangeRow own;
+    row(0, own);
+    return RowSamples(*this, values(), no_sun).factor(0, own, quanta);
+  }
+  // Standard deviation of the skylight that node 0 gets, over 1024 offsets, of its mean.
+  double error(uint32_t quanta) const {
+    ExchangeRow own;
+    row(0, own);
+    SampledRow sampled;
+    double sum = 0, squares = 0;
+    constexpr int kTimes = 1024;
+    for (int t = 0; t < kTimes; ++t) {
+      sampleRow(own, 1, quanta, (t + 0.5) / kTimes, sampled);
+      double light = 0;
+      for (size_t k = 0; k < sampled.column.size(); ++k)
+        if (isBright(sampled.column[k])) light += sampled.count[k];
+      sum += light / kTimes;
+      squares += light * light / kTimes;
+    }
+    return std::sqrt(std::max(0.0, squares - sum * sum)) / sum;
+  }
+
+ private:
+  uint32_t bright_, lit_;
+};
+
+TEST(RowSamples, AreAsManyAsTheRowsErrorAsksFor) {
+  for (const uint32_t bright : {2000u, 400u, 200u, 100u, 50u}) {
+    const OneRow level(bright, 0);
+    const uint32_t factor = level.factor(512);
+    // A dim row may err by more: by kDayRowError of kDayDark as well.
+    const double light = 0.5 * 0.9 * bright / OneRow::kOthers, bound = kDayRowError * (1 + kDayDark / light);
+    if (factor < formats::kMaxRowFactor) {
+      EXPECT_LE(level.error(512 * factor), 1.5 * bound) << bright;
+    }
+    if (factor > 1) {
+      EXPECT_GT(level.error(512 * factor / 2), bound / 1.5) << bright;
+    }
+  }
+  EXPECT_EQ(OneRow(4000, 0).factor(512), 1u);
+  EXPECT_GE(OneRow(20, 0).factor(512), 4u);
+}
+
+TEST(RowSamples, LampsAreALightAsWell) {
+  EXPECT_EQ(OneRow(4000, 1).factor(512), 1u);
+  EXPECT_GE(OneRow(4000, 500).factor(512), 4u);
+}
+
+TEST(RowSamples, ClustersGetTheMeansOfTheirChildren) {
+  const OneRow level(20, 0);
+  const std::vector<NodeValues> values = level.values();
+  const RowSamples patches(level, values, std::vector<SunLight>(level.nodes()));
+  std::vector<uint32_t> same(level.nodes()), one(level.nodes(), 0);
+  for (uint32_t i = 0; i < level.nodes(); ++i) same[i] = i;
+  ExchangeRow row;
+  level.row(0, row);
+  EXPECT_EQ(RowSamples(patches, values, same, level.nodes()).factor(0, row, 512), patches.factor(0, row, 512));
+  ExchangeRow whole;
+  whole.column = {0};
+  whole.area_m2 = {1};
+  EXPECT_EQ(RowSamples(patches, values, one, 1).factor(0, whole, 512), 1u);
+}
+
+}  // namespace
+}  // namespace ff::bake::test
