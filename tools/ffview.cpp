@@ -147,7 +147,7 @@ int main(int argc, char** argv) {
   });
   if (!figures) return fail(figures.error());
   if (as_json) std::printf("%s\n", figures->dump(1).c_str());
-  if (const std::string undone = view::whatIsUndone(*figures); !undone.empty())
-    std::fprintf(stderr, "ffview: %s\n", undone.c_str());
+  if (const std::string warning = view::warningOf(*figures); !warning.empty())
+    std::fprintf(stderr, "ffview: %s\n", warning.c_str());
   return 0;
 }

@@ -233,6 +233,7 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
   f.light = lightingFor(f.options, f.camera, f.scene, f.world.info().lights);
   figures["sun"] = {{"direction", triple(f.light.sun.to_sun)}, {"irradiance", triple(f.light.sun.irradiance)}};
   figures["openness"] = openness(f.scene);
+  figures["dark"] = !f.light.sun.shines() && f.light.sky.l0 == Vec3{} && f.light.lights.empty() && f.world.info().lamp_groups.empty();
 
   start = Clock::now();
   std::vector<Vec3> direct = irradianceFrom(f.light.lights, f.scene);
@@ -326,7 +327,8 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
   return figures;
 }
 
-std::string whatIsUndone(const json& figures) {
+std::string warningOf(const json& figures) {
+  if (figures["dark"]) return "nothing shines, and the pictures are black: there is no sun, no sky, no lamp in the world and no light in its file; leave out --night, or name --sun or --sky";
   size_t undone = 0;
   double most = 0;
   for (const json& frame : figures["frames"]) {

@@ -36,8 +36,8 @@ struct RunOptions {
 // kUsage.
 Result<nlohmann::json> run(const RunOptions& options, const std::function<void(const std::string&)>& say);
 
-// Which pictures' light had not settled, by how much, and what to do about it, from what run() returned; empty: all
-// had.
-std::string whatIsUndone(const nlohmann::json& figures);
+// What is wrong with the pictures and what to do about it, from what run() returned: nothing shines, or light had not settled and by how
+// much; empty: nothing.
+std::string warningOf(const nlohmann::json& figures);
 
 }  // namespace ff::view

@@ -11,7 +11,7 @@ namespace ff::bench {
 
 struct AccuracyOptions {
   bool quick = false;
-  int observers = 24;
+  int observers = 96;
   std::string world;               // the town of 60,000 patches, baked already
   std::filesystem::path shared;    // the shared scenes
   std::filesystem::path folder;    // for bakes

@@ -33,6 +33,11 @@ expect 0 "$ffview" --headless town.ffm --camera camera.json -o undone --frames 1
 grep -q "has not settled in 1 of 1 pictures: .* raise --settle" err.txt || fail "undone light was not said: $(cat err.txt)"
 expect 0 "$ffview" --headless town.ffm -o night --frames 1 --size 64x48 --night
 [ ! -s err.txt ] || fail "settled light was complained of: $(cat err.txt)"
+# A night without lamps is black, and that is said.
+expect 0 "$ffscene" plates -o plates.glb --emission 0
+expect 0 "$ffbake" plates.glb -o plates.ffm --patch-size 0.25 --rays 64 --quiet
+expect 0 "$ffview" --headless plates.ffm -o black --frames 1 --size 64x48 --night
+grep -q "nothing shines" err.txt || fail "a black night was not said: $(cat err.txt)"
 expect 0 "$ffview" --headless town.ffm --camera camera.json -o near --frames 1 --size 64x48 --radius 0.01
 python3 - <<'PY'
 import json
