@@ -1,8 +1,11 @@
 #include "bake/pool.h"
 
+#include <numeric>
 #include <utility>
 
 namespace ff::bake {
+
+double ExchangeRow::total_m2() const { return std::accumulate(area_m2.begin(), area_m2.end(), sky_m2 + absorbed_m2); }
 
 PooledPatches::PooledPatches(HitRows rows, std::vector<float> areas_m2)
     : rows_(std::move(rows)), areas_(std::move(areas_m2)) {

@@ -18,6 +18,7 @@ struct ExchangeRow {
   double sky_m2 = 0, absorbed_m2 = 0;
   std::vector<LampIrradiance> lamps;  // times the area, W; as baked
   SkyMeans sky_means;
+  double total_m2() const;            // of the columns, sky and absorbed: the node's area, but for noise
 };
 
 // Exchange areas among the nodes of one level, by row.

@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <limits>
 
 #include "bake/surface_points.h"
 #include "formats/layout.h"
@@ -11,7 +12,7 @@
 namespace ff::bake {
 namespace {
 
-constexpr uint32_t kOffsets = 16;    // 2 * kMaxRowFactor: so that the error of the most samples is measured, too
+constexpr uint32_t kOffsets = 2 * formats::kMaxRowFactor;  // two for the rows with the most samples
 constexpr uint32_t kSunPoints = 8;   // of a patch
 constexpr float kSunOverSky = 3.5f;  // on a patch that faces it, of an open, level patch's skylight: a clear day
 constexpr std::array<Vec3, kSuns> kTowardsSun = {
@@ -28,7 +29,7 @@ std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, cons
     for (size_t s = 0; s < kSuns; ++s)
       for (const SurfacePoint& point : points) {
         const float cosine = dot(point.normal, kTowardsSun[s]);
-        if (cosine > 0 && caster.nearest({point.position, kTowardsSun[s]}).triangle == kNone)
+        if (cosine > 0 && !caster.occluded({point.position, kTowardsSun[s]}, std::numeric_limits<float>::infinity()))
           light[p][s] += kSunOverSky * cosine / kSunPoints;
       }
   });
@@ -80,8 +81,7 @@ RowSamples::RowSamples(const RowSamples& children, std::span<const NodeValues> v
 }
 
 uint32_t RowSamples::factor(uint32_t node, const ExchangeRow& row, uint32_t quanta) const {
-  double sum = row.sky_m2 + row.absorbed_m2;
-  for (const double x : row.area_m2) sum += x;
+  const double sum = row.total_m2();
   if (!(sum > 0)) return 1;
   std::array<std::array<double, kLights>, kOffsets> light{};  // of the row's samples at each offset, added up
   const double scale = kOffsets * quanta / sum;

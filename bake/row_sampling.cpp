@@ -9,8 +9,7 @@ namespace ff::bake {
 void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out) {
   out.column.clear();
   out.count.clear();
-  double sum = row.sky_m2 + row.absorbed_m2;
-  for (double x : row.area_m2) sum += x;
+  const double sum = row.total_m2();
   out.total = sum > 0 ? sum / static_cast<double>(area_m2) : 1;  // a row without exchange has nothing to scale
   if (!(sum > 0)) {
     out.sky = 0;

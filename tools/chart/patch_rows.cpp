@@ -22,8 +22,6 @@ PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
   SampledRow sampled;
   for (uint32_t i = 0; i < pooled.nodes(); ++i) {
     pooled.row(i, row);
-    double sum = row.sky_m2 + row.absorbed_m2;
-    for (const double x : row.area_m2) sum += x;
     if (quanta > 0) {
       sampleRow(row, areas[i], quanta, unitOf(i + 1), sampled);
       for (size_t k = 0; k < sampled.column.size(); ++k) {
@@ -31,6 +29,7 @@ PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
         rows.f.push_back(static_cast<float>(sampled.count[k]) / static_cast<float>(quanta));
       }
     } else {
+      const double sum = row.total_m2();
       for (size_t k = 0; k < row.column.size(); ++k) {
         rows.column.push_back(row.column[k]);
         rows.f.push_back(static_cast<float>(row.area_m2[k] / sum));
