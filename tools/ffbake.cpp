@@ -152,7 +152,7 @@ int main(int argc, char** argv) {
       ->transform(CLI::AsSizeValue(true))
       ->capture_default_str();
   app.add_option("--rays", settings.rays, "rays per patch, 1 to 65535")->capture_default_str();
-  app.add_option("--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535")->capture_default_str();
+  app.add_option("--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
   app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")
