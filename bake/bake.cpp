@@ -203,6 +203,8 @@ void moveToWorld(const std::array<double, 3>& origin, PatchSet& set) {
   };
   for (PatchTriangle& t : set.triangles)
     for (Vec3* p : {&t.a, &t.b, &t.c}) move(*p);
+  for (SealedTriangle& t : set.sealed)
+    for (Vec3* p : {&t.a, &t.b, &t.c}) move(*p);
   for (Patch& p : set.patches) {
     for (int a = 0; a < 3; ++a) {
       const double cell = (static_cast<double>(p.centroid[a]) + origin[static_cast<size_t>(a)]) / static_cast<double>(set.cell_m);
@@ -412,15 +414,21 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     for (uint32_t t = 0; t + 1 < tiles.size(); ++t, ++report.done) {
       formats::TileGeometry geometry;
       geometry.tile = t;
+      const auto draw = [&](uint32_t node, const auto& triangles) {
+        for (const auto& triangle : triangles) {
+          if (isSeenThrough(scene.materials[scene.triangles[triangle.source].material])) continue;
+          geometry.positions.insert(geometry.positions.end(), {triangle.a, triangle.b, triangle.c});
+          geometry.patch.push_back(static_cast<uint8_t>(node - tiles[t]));
+        }
+      };
       for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
         const Patch& patch = set->patches[patch_of[i]];
-        for (uint32_t k = 0; k < patch.triangles; ++k) {
-          const PatchTriangle& triangle = set->triangles[patch.first_triangle + k];
-          if (isSeenThrough(scene.materials[scene.triangles[triangle.source].material])) continue;
-          for (const Vec3& corner : {triangle.a, triangle.b, triangle.c}) geometry.positions.push_back(corner);
-          geometry.patch.push_back(static_cast<uint8_t>(i - tiles[t]));
-        }
+        draw(i, std::span(set->triangles).subspan(patch.first_triangle, patch.triangles));
       }
+      const size_t exposed = geometry.patch.size();
+      for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i)
+        draw(i, std::ranges::equal_range(set->sealed, patch_of[i], {}, &SealedTriangle::patch));
+      geometry.sealed = static_cast<uint32_t>(geometry.patch.size() - exposed);
       if (auto ok = writer->addGeometry(geometry); !ok) return ok.error();
     }
   }

@@ -149,6 +149,53 @@ class PatchBuilder {
     set_.triangles.resize(triangles);
     tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, order, start); });
     for (const Patch& p : set_.patches) set_.area_m2 += static_cast<double>(p.area_m2);
+    keepSealed();
+  }
+
+  // Sealed pieces by the patch that their triangle goes on in. Farther than a cell from all of its patches nobody sees them.
+  void keepSealed() {
+    for (size_t i = 0; i < pieces_.size(); ++i)
+      for (const int back : {0, 1}) {
+        if (set_.pieces_[i].patch[back] != kSealed) continue;
+        const uint32_t patch = nearestPatch(i, back);
+        if (patch == kNone) continue;
+        const auto corner = [&](size_t k) { return inMetres(pieces_[i].polygon[k]); };
+        for (size_t k = 1; k + 1 < pieces_[i].polygon.size(); ++k)
+          set_.sealed.push_back({corner(0), corner(back ? k + 1 : k), corner(back ? k : k + 1), pieces_[i].triangle, patch});
+      }
+    std::ranges::stable_sort(set_.sealed, {}, &SealedTriangle::patch);
+  }
+
+  // On one side of the triangle of piece i, of the patches in the piece's cell and those around it; kNone if none is there.
+  uint32_t nearestPatch(size_t i, int back) const {
+    const Piece& piece = pieces_[i];
+    const auto middle = [](const Polygon& polygon) {
+      Point sum{0, 0, 0};
+      for (const Point& p : polygon) sum = sum + p;
+      return sum * (1 / static_cast<double>(polygon.size()));
+    };
+    const auto first = set_.pieces_.begin() + set_.piece_start_[piece.triangle], last = set_.pieces_.begin() + set_.piece_start_[piece.triangle + 1];
+    uint32_t patch = kNone;
+    double nearest = 1e300;
+    for (int32_t x = -1; x <= 1; ++x)
+      for (int32_t y = -1; y <= 1; ++y)
+        for (int32_t z = -1; z <= 1; ++z) {
+          const Cell cell{piece.cell[0] + x, piece.cell[1] + y, piece.cell[2] + z};
+          for (const PatchSet::CutPiece& q : std::ranges::equal_range(first, last, cell, {}, &PatchSet::CutPiece::cell)) {
+            if (q.patch[back] == kSealed || q.patch[back] == kNone) continue;
+            const Point way = middle(pieces_[static_cast<size_t>(&q - set_.pieces_.data())].polygon) - middle(piece.polygon);
+            if (const double d = dot(way, way); d < nearest) {
+              nearest = d;
+              patch = q.patch[back];
+            }
+          }
+        }
+    return patch;
+  }
+
+  Vec3 inMetres(const Point& p) const {
+    const auto s = static_cast<double>(settings_.cell_m);
+    return {static_cast<float>(p.x * s), static_cast<float>(p.y * s), static_cast<float>(p.z * s)};
   }
 
   // What patchAt() needs to tell the pieces of a triangle in one cell from each other.
@@ -185,11 +232,7 @@ class PatchBuilder {
     for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
       const Side& side = sides_[order[k]];
       const Piece& piece = pieces_[side.piece];
-      const auto metres = [&](size_t i) {
-        const Point& c = piece.polygon[i];
-        return Vec3{static_cast<float>(c.x * static_cast<double>(s)), static_cast<float>(c.y * static_cast<double>(s)),
-                    static_cast<float>(c.z * static_cast<double>(s))};
-      };
+      const auto metres = [&](size_t i) { return inMetres(piece.polygon[i]); };
       for (size_t i = 1; i + 1 < piece.polygon.size(); ++i) {
         PatchTriangle& t = set_.triangles[at++];
         t.a = metres(0);

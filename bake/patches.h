@@ -1,7 +1,7 @@
 // Cuts a scene's triangles into patches: pieces of surface that are connected, in one grid cell, one orientation class and one
 // lamp group or none. Materials of another density have a grid of their own (fineness.h). A thin wall's two sides, two floors in
 // one cell, a lamp and its shade, a floor on both sides of a wall that stands on it (fences.h) are never one patch. Sealed surface
-// (sealed.h), which no light gets to, has none. Crumbs join a neighbour (components.h), so that a patch may reach a little over
+// (sealed.h), which no light gets to, has none; its rims are kept for drawing. Crumbs join a neighbour (components.h), so that a patch may reach a little over
 // its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
 #include <atomic>
@@ -43,10 +43,19 @@ struct PatchTriangle {
   uint32_t source = 0;        // triangle of the scene
 };
 
+// A triangle of sealed surface where a scene triangle goes on in a patch: drawn with that patch's light, so that no gap opens where
+// an eye sees a hair of it beside what lies on it.
+struct SealedTriangle {
+  Vec3 a, b, c;
+  uint32_t source = 0;        // triangle of the scene
+  uint32_t patch = 0;         // the nearest one on the same side of `source`
+};
+
 class PatchSet {
  public:
   std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, own grid, cell of that, first piece)
   std::vector<PatchTriangle> triangles;  // by patch
+  std::vector<SealedTriangle> sealed;    // by patch
   float cell_m = 1;
   double area_m2 = 0, sealed_m2 = 0;     // of the patches; of sealed surface, which has none
 

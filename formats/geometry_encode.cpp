@@ -20,6 +20,7 @@ Error unfit(const TileGeometry& g, const std::string& message) {
 Result<std::vector<std::byte>> encodeGeometry(const TileGeometry& g) try {
   const size_t triangles = g.patch.size();
   if (g.positions.size() != 3 * triangles) return unfit(g, "positions are not three per triangle");
+  if (g.sealed > triangles) return unfit(g, "has more sealed triangles than triangles");
   if (triangles > kMaxGeometryTriangles) return unfit(g, "has too many triangles");
   for (const Vec3& p : g.positions)
     if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z)) return unfit(g, "a position is not finite");

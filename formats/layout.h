@@ -85,11 +85,14 @@ struct Strip {
   std::vector<LampLight> lamps;   // by (row, group), ascending
 };
 
-// Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres.
+// Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres. The last triangles are no part of
+// a patch but of the sealed surface that it goes on in, which no light gets to: drawn with the patch's light, they close gaps.
 struct TileGeometry {
   uint32_t tile = 0;
   std::vector<Vec3> positions;      // 3 per triangle
   std::vector<uint8_t> patch;       // one per triangle: index of the patch in the tile
+  uint32_t sealed = 0;              // so many triangles at the end are of sealed surface
+  size_t exposed() const { return patch.size() - sealed; }  // triangles of the patches themselves: the first
 };
 
 // Where a strip lies and what it covers; one fixed-size record in the shard's index.

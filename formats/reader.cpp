@@ -249,13 +249,15 @@ Result<TileGeometry> World::geometry(uint32_t tile) const {
   if (auto ok = s.files[entry.info.shard]->read(entry.info.offset, stored); !ok) return ok.error();
   TileGeometry out;
   out.tile = tile;
-  if (auto ok = checkGeometryHeader(entry, stored); !ok) return inFile(ok.error(), path);
+  const auto header = readGeometryHeader(entry, stored);
+  if (!header) return inFile(header.error(), path);
   const auto payload = std::span<const std::byte>(stored).subspan(kStripHeaderBytes);
   if (auto ok = decodeGeometry(payload, entry.info.entries, s.tiles[0][tile].nodes, out); !ok) {
     Error e = inFile(ok.error(), path);
     e.place = geometryPlace(entry);
     return e;
   }
+  out.sealed = header->blocks;
   return out;
 }
 

@@ -45,7 +45,7 @@ struct ShardHeader {
 };
 
 // Before a strip's payload. Geometry strips use the same header: magic kGeometryMagic, level 0, entries = triangles,
-// blocks = 0, raw_bytes = 0.
+// blocks = sealed triangles, raw_bytes = 0.
 struct StripHeader {
   uint32_t magic = kStripMagic;
   uint8_t level = 0;

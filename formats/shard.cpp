@@ -105,7 +105,7 @@ std::string geometryPlace(const ShardEntry& entry) {
   return "geometry 0:" + std::to_string(entry.info.id.tile) + " at offset " + std::to_string(entry.info.offset);
 }
 
-Result<void> checkGeometryHeader(const ShardEntry& entry, std::span<const std::byte> stored) {
+Result<StripHeader> readGeometryHeader(const ShardEntry& entry, std::span<const std::byte> stored) {
   const TileInfo& info = entry.info;
   const auto bad = [&](const char* what) {
     return Error{ErrorCode::kInvalidFile, "", geometryPlace(entry), what,
@@ -121,10 +121,10 @@ Result<void> checkGeometryHeader(const ShardEntry& entry, std::span<const std::b
   if (h.checksum != expected || h.checksum != entry.checksum)
     return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
   if (r.reservedUsed()) return bad("uses a reserved byte of the header");
-  if (h.level != 0 || h.tile != info.id.tile || h.entries != info.entries || h.blocks != 0 || h.raw_bytes != 0 ||
+  if (h.level != 0 || h.tile != info.id.tile || h.entries != info.entries || h.blocks > h.entries || h.raw_bytes != 0 ||
       h.payload_bytes != stored.size() - kStripHeaderBytes)
     return bad("header and index disagree");
-  return {};
+  return h;
 }
 
 }  // namespace ff::formats

@@ -25,7 +25,7 @@ struct OpenShard {
 Result<OpenShard> openShard(Storage& storage, const std::string& path, const ShardRecord& record, uint32_t number);
 
 // Header and checksum of a geometry strip.
-Result<void> checkGeometryHeader(const ShardEntry& entry, std::span<const std::byte> stored);
+Result<StripHeader> readGeometryHeader(const ShardEntry& entry, std::span<const std::byte> stored);
 // "geometry 0:17 at offset 4096"
 std::string geometryPlace(const ShardEntry& entry);
 

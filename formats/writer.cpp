@@ -182,6 +182,7 @@ Result<void> WorldWriter::addGeometry(const TileGeometry& geometry) {
   header.magic = kGeometryMagic;
   header.tile = geometry.tile;
   header.entries = static_cast<uint32_t>(geometry.patch.size());
+  header.blocks = geometry.sealed;
   header.payload_bytes = static_cast<uint32_t>(payload->size());
   header.bounds = {};
   for (const Vec3& p : geometry.positions) header.bounds.add(p);

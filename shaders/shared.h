@@ -173,6 +173,10 @@ struct PatchLook {
   vec4 emission;  // W/m2
   vec4 direct;    // irradiance from lamps, lights of the file and sky, W/m2
 };
+struct PatchFigures {
+  float difference;    // to the full-world solve
+  float sun_exposure;  // mean over the patch of the cosine where the sun is seen
+};
 struct InterpolatePush {
   uint first;  // vertex
   uint count;

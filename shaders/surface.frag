@@ -5,7 +5,7 @@
 #include "shared.h"
 
 layout(std430, binding = 0) readonly buffer Looks { PatchLook looks[]; };
-layout(std430, binding = 2) readonly buffer Differences { float differences[]; };
+layout(std430, binding = 2) readonly buffer Figures { PatchFigures figures[]; };
 layout(std430, binding = 3) readonly buffer FrameBuffer { Frame frame; };
 layout(binding = 4) uniform sampler2D shadow_near;
 layout(binding = 5) uniform sampler2D shadow_far;
@@ -33,9 +33,13 @@ float filtered(sampler2D map, vec3 at) {
   return sum / 9;
 }
 
+// Near to what shades it a point passes for lit, by the maps' bias: a corner of a dark room would shine. So a patch of which the sun
+// sees next to nothing has none.
+const float kLeastLit = 1.0 / 512.0;
+
 float sunlight(vec3 n) {
   const float cosine = dot(n, frame.sun_direction.xyz);
-  if (cosine <= 0) return 0;
+  if (cosine <= 0 || figures[id].sun_exposure < kLeastLit * cosine) return 0;
   for (uint m = 0; m < kShadowMaps; ++m) {
     // A texel's depth holds at its centre only: the point moves off the surface by the slope's share of the filter.
     const float slope = sqrt(max(0, 1 - cosine * cosine));
@@ -54,5 +58,5 @@ void main() {
   const vec3 albedo = looks[id].albedo.rgb, emission = looks[id].emission.rgb;
   out_direct = vec4(emission + albedo * (sun + direct), 1);
   out_bounced = vec4(emission + albedo * (sun + bounced), 1);
-  out_difference = differences[id];
+  out_difference = figures[id].difference;
 }

@@ -52,11 +52,15 @@ class Occluders {
 // The triangles of each patch: those of patch p are order[start[p]] .. order[start[p + 1] - 1].
 struct ByPatch {
   std::vector<uint32_t> start, order;
-  explicit ByPatch(const ViewScene& scene) : start(scene.patches.size() + 1), order(scene.triangles()) {
-    for (const uint32_t p : scene.triangle_patch) ++start[p + 1];
+  explicit ByPatch(const ViewScene& scene) : start(scene.patches.size() + 1), order(scene.triangles() - scene.sealed.size()) {
+    std::vector<bool> sealed(scene.triangles());
+    for (const uint32_t t : scene.sealed) sealed[t] = true;
+    for (uint32_t t = 0; t < sealed.size(); ++t)
+      if (!sealed[t]) ++start[scene.triangle_patch[t] + 1];
     for (size_t p = 1; p < start.size(); ++p) start[p] += start[p - 1];
     std::vector<uint32_t> at(start.begin(), start.end() - 1);
-    for (uint32_t t = 0; t < order.size(); ++t) order[at[scene.triangle_patch[t]]++] = t;
+    for (uint32_t t = 0; t < sealed.size(); ++t)
+      if (!sealed[t]) order[at[scene.triangle_patch[t]]++] = t;
   }
 };
 

@@ -65,7 +65,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
     shadow = std::move(*s);
   }
 
-  // surface.vert/.frag and sky.frag share one layout: looks, vertex light, differences, frame, two shadow maps.
+  // surface.vert/.frag and sky.frag share one layout: looks, vertex light, figures of patches, frame, two shadow maps.
   const std::vector<VkDescriptorType> bindings{kStorage, kStorage, kStorage, kStorage, kSampled, kSampled};
   auto surface = GraphicsPipeline::create(context, r.target_,
                                           {.vertex = surface_vert,
@@ -118,7 +118,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
   for (auto [buffer, bytes] : {std::pair<Buffer&, uint64_t>(r.tables_, weld.light_from.size() * sizeof(VertexPatches)),
                                std::pair<Buffer&, uint64_t>(r.looks_, patches * sizeof(shaders::PatchLook)),
                                std::pair<Buffer&, uint64_t>(r.patch_slot_, patches * sizeof(uint32_t)),
-                               std::pair<Buffer&, uint64_t>(r.differences_, patches * sizeof(float)),
+                               std::pair<Buffer&, uint64_t>(r.figures_, patches * sizeof(shaders::PatchFigures)),
                                std::pair<Buffer&, uint64_t>(r.slots_, runtime::kMaxSlots * sizeof(shaders::vec4)),
                                std::pair<Buffer&, uint64_t>(r.light_, uint64_t{r.vertices_} * sizeof(shaders::Light)),
                                std::pair<Buffer&, uint64_t>(r.frame_, sizeof(shaders::Frame))})
@@ -137,7 +137,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
     set = std::move(*s);
     set.setBuffer(0, r.looks_);
     set.setBuffer(1, r.light_);
-    set.setBuffer(2, r.differences_);
+    set.setBuffer(2, r.figures_);
     set.setBuffer(3, r.frame_);
     set.setImage(4, r.shadows_[0].depth());
     set.setImage(5, r.shadows_[1].depth());
@@ -149,7 +149,9 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
 Result<void> Renderer::upload(const FrameLight& light, const shaders::Frame& frame) {
   if (auto r = runtime::upload(*context_, patch_slot_, 0, std::as_bytes(light.patch_slot)); !r) return r;
   if (auto r = runtime::upload(*context_, slots_, 0, std::as_bytes(light.slots)); !r) return r;
-  if (auto r = runtime::upload(*context_, differences_, 0, std::as_bytes(light.difference)); !r) return r;
+  std::vector<shaders::PatchFigures> figures(light.difference.size());
+  for (size_t p = 0; p < figures.size(); ++p) figures[p] = {light.difference[p], light.sun_exposure[p]};
+  if (auto r = runtime::upload(*context_, figures_, 0, std::as_bytes(std::span(figures))); !r) return r;
   return runtime::upload(*context_, frame_, 0, std::as_bytes(std::span(&frame, 1)));
 }
 

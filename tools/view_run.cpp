@@ -86,6 +86,7 @@ struct Flight {
   Lighting light;
   SunRaster raster;
   Renderer renderer;
+  std::vector<float> sun_exposure;      // per patch
   runtime::NodeValues direct_on_nodes;  // irradiance from the sun and the lights of the file
   std::vector<double> source, full;     // of the full solve, 3 per patch
   float radius_m = 0;
@@ -153,7 +154,7 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
     comparison = compare(f.scene, matrix, patch_slot, slots, f.full, f.source, view.eye, 0.5f * f.radius_m);
 
   const auto draw_start = Clock::now();
-  auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {patch_slot, slots, comparison.difference});
+  auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {patch_slot, slots, comparison.difference, f.sun_exposure});
   if (!drawn) return drawn.error();
   const double draw_ms = msSince(draw_start);
   const float wanted = f.options.exposure_stops.value_or(exposureStops(drawn->bounced));
@@ -253,22 +254,22 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
   f.renderer = std::move(*renderer);
 
   start = Clock::now();
-  std::vector<float> exposure(f.scene.patches.size());
+  f.sun_exposure.resize(f.scene.patches.size());
   if (f.light.sun.shines()) {
     auto seen = f.raster.exposure(f.geometry, f.scene, f.light.sun.to_sun);
     if (!seen) return seen.error();
-    exposure = std::move(*seen);
+    f.sun_exposure = std::move(*seen);
   }
   figures["sun_ms"] = msSince(start);
   std::vector<float> areas;
   for (size_t p = 0; p < f.scene.patches.size(); ++p) {
     areas.push_back(f.scene.patches[p].area_m2);
-    direct[p] += exposure[p] * f.light.sun.irradiance;
+    direct[p] += f.sun_exposure[p] * f.light.sun.irradiance;
   }
   f.direct_on_nodes = runtime::aggregateUp(f.world, areas, direct);
   if (!f.options.compare) return {};
   start = Clock::now();
-  f.source = patchSource(f.scene, exposure, f.light.sun, f.light.sky);
+  f.source = patchSource(f.scene, f.sun_exposure, f.light.sun, f.light.sky);
   auto full = runtime::solveFullWorld(f.world, f.source, {.tolerance = 1e-7, .max_iterations = 2000, .threads = 0});
   if (!full) return full.error();
   f.full = std::move(full->radiosity);
@@ -292,7 +293,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
 
   json figures = {{"world", std::filesystem::path(options.world).filename().string()}, {"device", device}};
   {
-    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
+    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
     if (auto r = prepare(f, figures, say); !r) return r.error();
     auto settings = cutSettings(*world, options.solver, {options.radius_m, options.max_patches});
     if (!settings) return settings.error();

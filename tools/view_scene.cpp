@@ -22,7 +22,10 @@ Result<ViewScene> loadScene(const formats::World& world) {
     auto geometry = world.geometry(tile.id.tile);
     if (!geometry) return geometry.error();
     scene.corners.insert(scene.corners.end(), geometry->positions.begin(), geometry->positions.end());
-    for (const uint8_t patch : geometry->patch) scene.triangle_patch.push_back(tile.first_node + patch);
+    for (size_t t = 0; t < geometry->patch.size(); ++t) {
+      if (t >= geometry->exposed()) scene.sealed.push_back(static_cast<uint32_t>(scene.triangle_patch.size()));
+      scene.triangle_patch.push_back(tile.first_node + geometry->patch[t]);
+    }
   }
   for (const Vec3 p : scene.corners) scene.bounds.add(p);
   return scene;

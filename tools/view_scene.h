@@ -14,6 +14,7 @@ struct ViewScene {
   std::vector<Vec3> lamps;               // irradiance from the lamps as baked, W/m2, likewise
   std::vector<Vec3> corners;             // 3 per triangle, m, counter-clockwise from the front
   std::vector<uint32_t> triangle_patch;  // node number
+  std::vector<uint32_t> sealed;          // triangles, ascending: no part of their patch but of the sealed surface that it goes on in
   float cell_m = 1;
   Box bounds;
 
@@ -31,7 +32,8 @@ struct VertexPatches {
 
 // The corners of the triangles, welded: one vertex for all corners at one place whose faces point within 60 degrees of
 // each other, and that no wall between them parts (view_walls.h). Light is interpolated between such vertices; it never crosses
-// from one surface to another that does not touch it, so it cannot leak through a thin wall or under one.
+// from one surface to another that does not touch it, so it cannot leak through a thin wall or under one. Sealed triangles, which
+// go on under walls, have vertices of their own with the light of their patch.
 struct Weld {
   std::vector<uint32_t> corner_vertex;    // per corner
   std::vector<Vec3> position;             // per vertex; one place has one position, so that there are no cracks

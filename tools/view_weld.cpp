@@ -73,10 +73,11 @@ Lists makeLists(std::vector<std::pair<uint32_t, uint32_t>> pairs, size_t count) 
 
 // The edge of the grid that each patch was cut by, m: where patches are finer or coarser, cell_m by a power of two. As long as the
 // longest side of its box or of one that touches it, for patches may be smaller than their cell.
-std::vector<float> gridOf(const ViewScene& scene, const Lists& neighbours) {
+std::vector<float> gridOf(const ViewScene& scene, const std::vector<bool>& sealed, const Lists& neighbours) {
   constexpr float kSlack = 0.25f;  // crumbs reach over the border of a cell
   std::vector<Box> box(scene.patches.size());
-  for (size_t c = 0; c < scene.corners.size(); ++c) box[scene.triangle_patch[c / 3]].add(scene.corners[c]);
+  for (size_t c = 0; c < scene.corners.size(); ++c)
+    if (!sealed[c / 3]) box[scene.triangle_patch[c / 3]].add(scene.corners[c]);
   const auto longest = [&](uint32_t p) {
     const Vec3 size = box[p].hi - box[p].lo;
     return std::max({size.x, size.y, size.z});
@@ -143,7 +144,10 @@ Weld weldScene(const ViewScene& scene) {
   // classes into those that see each other past what stands on them.
   std::vector<std::pair<uint32_t, uint32_t>> corners_at;
   corners_at.reserve(corners.size());
-  for (uint32_t c = 0; c < corners.size(); ++c) corners_at.emplace_back(place_of[c], c);
+  std::vector<bool> sealed(scene.triangles());
+  for (const uint32_t t : scene.sealed) sealed[t] = true;
+  for (uint32_t c = 0; c < corners.size(); ++c)
+    if (!sealed[c / 3]) corners_at.emplace_back(place_of[c], c);
   const Lists at = makeLists(std::move(corners_at), places.size());
   const Walls walls(corners, scene.triangle_patch, scene.cell_m, tolerance);
   Weld weld;
@@ -166,7 +170,7 @@ Weld weldScene(const ViewScene& scene) {
         for (const uint32_t c : together) area_normal.back() += doubled[c / 3];
       }
   }
-  const size_t vertices = weld.position.size();
+  const size_t vertices = weld.position.size();  // of what light gets to
   weld.normal.resize(vertices);
   for (size_t v = 0; v < vertices; ++v) {
     weld.normal[v] = normalized(area_normal[v]);
@@ -176,7 +180,7 @@ Weld weldScene(const ViewScene& scene) {
   std::vector<std::pair<uint32_t, uint32_t>> pairs;
   pairs.reserve(scene.corners.size());
   for (size_t c = 0; c < scene.corners.size(); ++c)
-    pairs.emplace_back(weld.corner_vertex[c], scene.triangle_patch[c / 3]);
+    if (!sealed[c / 3]) pairs.emplace_back(weld.corner_vertex[c], scene.triangle_patch[c / 3]);
   const Lists touching = makeLists(std::move(pairs), vertices);
   pairs = {};
   for (uint32_t v = 0; v < vertices; ++v)
@@ -184,10 +188,17 @@ Weld weldScene(const ViewScene& scene) {
       for (const uint32_t b : touching.of(v))
         if (a != b) pairs.emplace_back(a, b);
   const Lists neighbours = makeLists(std::move(pairs), scene.patches.size());
-  const std::vector<float> grid = gridOf(scene, neighbours);
+  const std::vector<float> grid = gridOf(scene, sealed, neighbours);
   weld.light_from.resize(vertices);
   for (uint32_t v = 0; v < vertices; ++v)
     weld.light_from[v] = lightOf(scene, touching, neighbours, grid, v, weld.position[v], weld.normal[v]);
+  for (const uint32_t t : scene.sealed)
+    for (uint32_t c = 3 * t; c < 3 * t + 3; ++c) {
+      weld.corner_vertex[c] = static_cast<uint32_t>(weld.position.size());
+      weld.position.push_back(places[place_of[c]]);
+      weld.normal.push_back(facing(t));
+      weld.light_from.push_back({{scene.triangle_patch[t]}, {1}});
+    }
   return weld;
 }
 

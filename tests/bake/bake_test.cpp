@@ -171,6 +171,19 @@ TEST_F(Bake, OfASurfaceHalfInsideASolidTheOtherHalfTakesPart) {
       }
   }
   EXPECT_NEAR(exposed, 0.5, 1e-5);
+  double drawn = 0, sealed = 0;  // of the floor
+  for (uint32_t t = 0; t < world->levels()[0].tiles; ++t) {
+    const auto geometry = world->geometry(t);
+    ASSERT_TRUE(geometry) << geometry.error().line();
+    for (size_t k = 0; k < geometry->patch.size(); ++k) {
+      const Vec3* p = &geometry->positions[3 * k];
+      const Vec3 doubled = cross(p[1] - p[0], p[2] - p[0]);
+      if (doubled.y > 0 && std::abs(p[0].y - 0.5f) < 1e-3f && std::abs(p[1].y - 0.5f) < 1e-3f)
+        (k < geometry->exposed() ? drawn : sealed) += static_cast<double>(length(doubled)) / 2;
+    }
+  }
+  EXPECT_NEAR(drawn, 0.5, 1e-3);
+  EXPECT_NEAR(sealed, 0.5, 1e-3);
   // Sky seen from the exposed half: all but the block's face, a wall 0.4 high and long beside it: between 0.5 and 1.
   EXPECT_GT(sky, 0.7);
   EXPECT_LT(sky, 0.95);

@@ -69,6 +69,19 @@ TEST(Patches, WhatLiesUnderARugTakesNoPart) {
   EXPECT_NEAR(set.sealed_m2, .5, 1e-3);
 }
 
+// So that what an eye sees of it, at the rug's rim, is not a gap.
+TEST(Patches, WhatLiesUnderARugIsKeptForDrawingWithTheFloorsPatch) {
+  const PatchSet set = floorUnderRug(1.5e-6f);
+  float area = 0;
+  for (const SealedTriangle& t : set.sealed) {
+    EXPECT_EQ(t.patch, set.patchAt(t.source, true, {.75f, .5f, .5f}));
+    const Vec3 doubled = cross(t.b - t.a, t.c - t.a);
+    EXPECT_GT(doubled.y, 0);
+    area += length(doubled) / 2;
+  }
+  EXPECT_NEAR(area, .5f, 1e-3f);
+}
+
 TEST(Patches, TwoSurfacesInOnePlaneDoNotHideEachOther) {
   const PatchSet set = floorUnderRug(0);
   ASSERT_EQ(set.patches.size(), 1u);
@@ -210,6 +223,7 @@ TEST(Patches, WhatLightDoesNotGetOutOfHasNoPatchAndAHoleGivesItOne) {
     if (hole == 0) {
       EXPECT_EQ(inside, kSealed);
       EXPECT_NEAR(set->sealed_m2, 6 * 0.2 * 0.2, 1e-5);
+      EXPECT_TRUE(set->sealed.empty()) << "no triangle goes on where light gets to";
     } else {
       ASSERT_LT(inside, set->patches.size());
       EXPECT_EQ(set->sealed_m2, 0);

@@ -126,7 +126,7 @@ double meanOver(const formats::World& world, uint32_t patch, const std::function
   const auto geometry = world.geometry(tile);
   if (!geometry) throw std::runtime_error(geometry.error().line());
   double sum = 0, area = 0;
-  for (size_t t = 0; t < geometry->patch.size(); ++t) {
+  for (size_t t = 0; t < geometry->exposed(); ++t) {
     if (world.tiles(0)[tile].first_node + geometry->patch[t] != patch) continue;
     const Vec3 a = geometry->positions[3 * t], ab = geometry->positions[3 * t + 1] - a, ac = geometry->positions[3 * t + 2] - a;
     const double piece = static_cast<double>(length(cross(ab, ac))) / 2 / (kPieces * kPieces);

@@ -103,7 +103,9 @@ class Pictures : public Drawing {
     auto renderer = Renderer::create(*context_, scene, weld, *geometry, sky, {160, 120});
     EXPECT_TRUE(renderer) << renderer.error().line();
     const std::vector<float> difference(scene.patches.size(), 0.25f);
-    auto drawn = renderer->render(raster_, *geometry, view, sun, {patch_slot, slots, difference});
+    std::vector<float> lit(scene.patches.size());
+    if (sun.shines()) lit = *raster_.exposure(*geometry, scene, sun.to_sun);
+    auto drawn = renderer->render(raster_, *geometry, view, sun, {patch_slot, slots, difference, lit});
     EXPECT_TRUE(drawn) << drawn.error().line();
     return {std::move(*drawn)};
   }
@@ -150,6 +152,20 @@ TEST_F(Pictures, ShowASharpShadowAndNoneOnItself) {
     // The filter is 3 texels of 80 m / 4096 wide, 2.1 pixels of 2.7 cm, on two edges of 120 pixels.
     EXPECT_LE(between, 2 * 120 * 3);
   }
+}
+
+// Two sheets that meet in a corner and face the eye, with sheets in the same place that face the sun: near the corner a point lies within
+// the shadow map's bias of what shades it.
+TEST_F(Pictures, ShowNoSunInTheCornerOfADarkRoom) {
+  ViewScene scene;
+  for (const bool out : {false, true}) {
+    const Vec3 up{0, 4, 0}, x{4, 0, 0}, z{0, 0, 4};
+    addSheet(scene, {-4, -2, 0}, out ? up : x, out ? x : up, 4, 4, {1, 1, 1});  // z = 0, inside faces +z
+    addSheet(scene, {0, -2, 0}, out ? up : z, out ? z : up, 4, 4, {1, 1, 1});   // x = 0, inside faces -x
+  }
+  const Drawn d = draw(scene, {{-1, 0, 1}, {0, 0, 0}, 0.5f}, {normalized({0.51f, 0.5f, 0.38f}), {2, 2, 2}}, {}, {{}},
+                       std::vector<uint32_t>(scene.patches.size(), 0));
+  for (size_t i = 0; i < d.picture.direct.size(); ++i) EXPECT_EQ(d.picture.direct[i].x, 0) << "pixel " << i % 160 << ", " << i / 160;
 }
 
 TEST_F(Pictures, ShowTheSkyWhereThereIsNoSurface) {

@@ -93,6 +93,28 @@ TEST(Weld, NeverTakesLightFromTheOtherSideOfAWallThatStandsOnTheFloor) {
     }
 }
 
+// A floor in two halves that sealed strips join, under a wall between them.
+TEST(Weld, TakesNoLightAlongSealedSurface) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 4}, {2, 0, 0}, 4, 2);
+  addSheet(scene, {2.5f, 0, 0}, {0, 0, 4}, {2, 0, 0}, 4, 2);
+  for (const uint32_t patch : {4u, 8u}) {  // the first ones beside the gap
+    const float x = patch == 4 ? 2.0f : 2.25f;
+    for (const Vec3 corner : {Vec3{x, 0, 0}, {x, 0, 1}, {x + 0.25f, 0, 1}}) scene.corners.push_back(corner);
+    scene.sealed.push_back(static_cast<uint32_t>(scene.triangles()));
+    scene.triangle_patch.push_back(patch);
+  }
+  const Weld weld = weldScene(scene);
+  for (uint32_t p = 0; p < 16; ++p)
+    for (const uint32_t lighter : lightersOf(scene, weld, p)) EXPECT_EQ(lighter / 8, p / 8) << "patch " << p;
+  for (const uint32_t t : scene.sealed)
+    for (uint32_t c = 3 * t; c < 3 * t + 3; ++c) {
+      const VertexPatches& light = weld.light_from[weld.corner_vertex[c]];
+      EXPECT_EQ(light.patch[0], scene.triangle_patch[t]);
+      EXPECT_EQ(light.weight[0], 1);
+    }
+}
+
 TEST(Weld, DoesNotReachFurtherThanATentOfOneAndAHalfCells) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 9}, {9, 0, 0}, 9, 9);

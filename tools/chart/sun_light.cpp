@@ -23,7 +23,8 @@ void evenPoint(int i, float& u, float& v) {
 Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun, Vec3 irradiance) {
   bake::Scene scene;
   scene.materials.emplace_back();
-  std::vector<uint32_t> patch_of;  // per triangle
+  constexpr uint32_t kSealed = 0xffffffffu;
+  std::vector<uint32_t> patch_of;  // per triangle; kSealed: it only stands in the way
   for (const formats::TileInfo& info : world.tiles(0)) {
     const auto geometry = world.geometry(info.id.tile);
     if (!geometry) return geometry.error();
@@ -31,7 +32,7 @@ Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun
       const auto first = static_cast<uint32_t>(scene.positions.size());
       for (size_t k = 0; k < 3; ++k) scene.positions.push_back(geometry->positions[3 * t + k]);
       scene.triangles.push_back({{first, first + 1, first + 2}, 0});
-      patch_of.push_back(info.first_node + geometry->patch[t]);
+      patch_of.push_back(t < geometry->exposed() ? info.first_node + geometry->patch[t] : kSealed);
     }
   }
   auto caster = bake::RayCaster::create(scene);
@@ -40,6 +41,7 @@ Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun
   const float far_m = 2 * length(world.info().bounds.hi - world.info().bounds.lo);
   std::vector<double> area(world.levels()[0].nodes), lit(area.size());
   for (size_t t = 0; t < patch_of.size(); ++t) {
+    if (patch_of[t] == kSealed) continue;
     const Vec3 a = scene.positions[3 * t], ab = scene.positions[3 * t + 1] - a, ac = scene.positions[3 * t + 2] - a;
     const Vec3 normal = cross(ab, ac);
     const auto double_area = static_cast<double>(length(normal));

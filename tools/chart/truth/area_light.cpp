@@ -75,7 +75,7 @@ Result<std::vector<Vec3>> AreaLight::irradianceOfPatches(const formats::World& w
   for (const formats::TileInfo& info : world.tiles(0)) {
     const auto geometry = world.geometry(info.id.tile);
     if (!geometry) return geometry.error();
-    for (size_t t = 0; t < geometry->patch.size(); ++t) {
+    for (size_t t = 0; t < geometry->exposed(); ++t) {
       const Vec3 a = geometry->positions[3 * t], ab = geometry->positions[3 * t + 1] - a, ac = geometry->positions[3 * t + 2] - a;
       const Vec3 across = cross(ab, ac), middle = a + (ab + ac) / 3;
       if (!(length(across) > 0)) continue;

@@ -478,7 +478,7 @@ Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::W
       std::vector<Facet>& own = of_patch[state->patch_of.back()];
       const Vec3 n = cross(b - a, c - a);
       const float area = 0.5f * length(n);
-      if (area > 0)
+      if (area > 0 && t < geometry->exposed())
         own.push_back({a, b - a, c - a, normalized(n), area + (own.empty() ? 0.0f : own.back().cumulative_area)});
     }
   }
