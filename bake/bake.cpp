@@ -31,8 +31,8 @@
 #include "bake/spatial_index.h"
 #include "bake/surface_sampling.h"
 #include "formats/strip_codec.h"
+#include "formats/version.h"
 #include "formats/writer.h"
-#include "tools/version.h"
 
 namespace ff::bake {
 namespace {

@@ -9,7 +9,7 @@
 #include "bake/not_modelled.h"
 #include "bake/scene.h"
 #include "bake/scene_cleanup.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake {
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "bake/gltf_json.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake::gltf {
 

@@ -3,7 +3,7 @@
 #include <numbers>
 
 #include "bake/gltf_reduce.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake::gltf {
 namespace {

@@ -2,7 +2,7 @@
 
 #include <unordered_map>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake {
 

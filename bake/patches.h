@@ -15,7 +15,7 @@
 #include "bake/polygon.h"
 #include "bake/ray_caster.h"
 #include "bake/scene.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake {
 

@@ -15,7 +15,7 @@
 
 #include "bake/patches.h"
 #include "bake/pool.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake {
 

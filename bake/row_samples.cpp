@@ -7,7 +7,7 @@
 #include <limits>
 
 #include "bake/surface_points.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake {
 namespace {

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 #include "formats/vec3.h"
 

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 
 namespace ff::formats {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/parent_links.h"
 #include "formats/records.h"
 #include "formats/result.h"

@@ -4,7 +4,7 @@
 #include <cstdint>
 
 #include "formats/bytes.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::formats {
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/records.h"
 #include "formats/result.h"
 #include "formats/storage.h"

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <span>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 
 namespace ff::formats {

@@ -36,7 +36,7 @@ constexpr int kZstdLevel = 3;
 
 Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
 
-// What layout.h promises of parents as bits and places (FORMAT.md section 2.6); refuses what it does not. starts, starts_above: first node of
+// What model.h promises of parents as bits and places (FORMAT.md section 2.6); refuses what it does not. starts, starts_above: first node of
 // each tile of the level and of the one above, then the number of nodes.
 Result<void> writeLinks(std::span<const uint32_t> parents, std::span<const uint32_t> starts, std::span<const uint32_t> starts_above,
                         ByteWriter& out) {

@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 #include "formats/storage.h"
 

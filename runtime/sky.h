@@ -3,7 +3,7 @@
 #include <array>
 #include <cstddef>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::runtime {
 

@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 
 namespace ff::stream {

@@ -5,7 +5,7 @@
 #include <functional>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "formats/result.h"
 #include "formats/storage.h"
 

@@ -13,7 +13,7 @@
 
 #include "bake/bake.h"
 #include "bake/gltf_import.h"
-#include "tools/version.h"
+#include "formats/version.h"
 
 namespace {
 

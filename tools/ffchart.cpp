@@ -7,6 +7,7 @@
 #include <string>
 #include <thread>
 
+#include "formats/version.h"
 #include "tools/chart/answer.h"
 #include "tools/chart/eyes.h"
 #include "tools/chart/page/json_report.h"
@@ -20,7 +21,6 @@
 #include "tools/chart/sweep/seen.h"
 #include "tools/chart/sweep/sweep.h"
 #include "tools/chart/sweep/temporal.h"
-#include "tools/version.h"
 #include "tools/view_camera.h"
 
 namespace {

@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bake/gltf_import.h"
-#include "tools/version.h"
+#include "formats/version.h"
 
 namespace {
 

@@ -3,8 +3,8 @@
 #include <cstdio>
 #include <functional>
 
+#include "formats/version.h"
 #include "tools/inspect.h"
-#include "tools/version.h"
 
 namespace {
 

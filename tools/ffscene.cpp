@@ -5,11 +5,11 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 
+#include "formats/version.h"
 #include "tools/scene_analytic.h"
 #include "tools/scene_camera.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_town.h"
-#include "tools/version.h"
 
 namespace {
 

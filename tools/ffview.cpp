@@ -5,7 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
-#include "tools/version.h"
+#include "formats/version.h"
 #include "tools/view_run.h"
 
 namespace {

@@ -2,7 +2,7 @@
 
 #include <bit>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "tools/inspect.h"
 
 namespace ff::tools {

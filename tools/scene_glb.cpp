@@ -13,7 +13,7 @@
 #include <nlohmann/json.hpp>
 #include <tuple>
 
-#include "tools/version.h"
+#include "formats/version.h"
 
 static_assert(std::endian::native == std::endian::little, "glTF buffers are little-endian and written as they lie");
 

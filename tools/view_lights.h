@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/layout.h"
+#include "formats/model.h"
 #include "tools/view_scene.h"
 
 namespace ff::view {

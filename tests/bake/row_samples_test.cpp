@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "bake/row_sampling.h"
-#include "formats/layout.h"
+#include "formats/model.h"
 
 namespace ff::bake::test {
 namespace {
