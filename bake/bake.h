@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "bake/cleanup/scene_cleanup.h"
 #include "bake/not_modelled.h"
 #include "bake/scene.h"
-#include "bake/scene_cleanup.h"
 #include "formats/model.h"
 
 namespace ff::bake {

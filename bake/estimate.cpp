@@ -8,9 +8,9 @@
 #include <thread>
 #include <unordered_set>
 
-#include "bake/fineness.h"
-#include "bake/sobol.h"
-#include "bake/surface_sampling.h"
+#include "bake/rays/sobol.h"
+#include "bake/rays/surface_sampling.h"
+#include "bake/surface/fineness.h"
 
 namespace ff::bake {
 namespace {

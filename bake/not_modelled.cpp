@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <map>
 
-#include "bake/patches.h"
-#include "bake/surface_sampling.h"
+#include "bake/rays/surface_sampling.h"
+#include "bake/surface/patches.h"
 
 namespace ff::bake {
 namespace {

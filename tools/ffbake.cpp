@@ -12,7 +12,7 @@
 #include <fmt/core.h>
 
 #include "bake/bake.h"
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "formats/version.h"
 
 namespace {

@@ -7,7 +7,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "formats/version.h"
 
 namespace {

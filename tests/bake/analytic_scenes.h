@@ -5,9 +5,9 @@
 #include <numbers>
 #include <vector>
 
-#include "bake/form_factor.h"
-#include "bake/patches.h"
-#include "bake/ray_caster.h"
+#include "bake/light/form_factor.h"
+#include "bake/rays/ray_caster.h"
+#include "bake/surface/patches.h"
 
 namespace ff::bake::test {
 

@@ -10,10 +10,10 @@
 #include <set>
 
 #include "bake/bake.h"
+#include "bake/cleanup/scene_cleanup.h"
 #include "bake/estimate.h"
-#include "bake/fineness.h"
-#include "bake/patch_size.h"
-#include "bake/scene_cleanup.h"
+#include "bake/surface/fineness.h"
+#include "bake/surface/patch_size.h"
 #include "formats/reader.h"
 #include "tests/bake/variants.h"
 

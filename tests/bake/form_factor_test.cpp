@@ -1,7 +1,7 @@
 // Closed forms: Howell, Menguc, Daun, Siegel. A Catalog of Radiation Heat Transfer Configuration Factors (C-11, C-14, C-41, C-74).
 // Tolerances: N independent rays would err by sqrt(F (1 - F) / N) (one standard deviation); scrambled Sobol points do
 // better, and four of these deviations are allowed.
-#include "bake/form_factor.h"
+#include "bake/light/form_factor.h"
 
 #include <gtest/gtest.h>
 

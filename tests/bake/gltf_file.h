@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 
 namespace ff::bake {
 

@@ -8,7 +8,7 @@
 #include <meshoptimizer.h>
 #endif
 
-#include "bake/gltf_meshopt_vertices.h"
+#include "bake/import/meshopt_vertices.h"
 #include "tests/bake/gltf_file.h"
 
 namespace ff::bake {

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "bake/coincident.h"
+#include "bake/cleanup/coincident.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {

@@ -4,8 +4,8 @@
 #include <functional>
 #include <random>
 
-#include "bake/form_factor.h"
-#include "bake/patches.h"
+#include "bake/light/form_factor.h"
+#include "bake/surface/patches.h"
 #include "tests/bake/analytic_scenes.h"
 
 namespace ff::bake::test {

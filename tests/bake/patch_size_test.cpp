@@ -1,4 +1,4 @@
-#include "bake/patch_size.h"
+#include "bake/surface/patch_size.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "bake/patches.h"
+#include "bake/surface/patches.h"
 
 #include <gtest/gtest.h>
 

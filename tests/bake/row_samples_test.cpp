@@ -1,11 +1,11 @@
 // How many samples a row is given, against the spread of what rows with so many samples bring.
-#include "bake/row_samples.h"
+#include "bake/matrix/row_samples.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-#include "bake/row_sampling.h"
+#include "bake/matrix/row_sampling.h"
 #include "formats/model.h"
 
 namespace ff::bake::test {

@@ -5,9 +5,9 @@
 #include <random>
 #include <set>
 
-#include "bake/pool.h"
-#include "bake/pyramid.h"
-#include "bake/row_sampling.h"
+#include "bake/matrix/pool.h"
+#include "bake/matrix/pyramid.h"
+#include "bake/matrix/row_sampling.h"
 #include "tests/bake/analytic_scenes.h"
 
 namespace ff::bake::test {

@@ -1,12 +1,12 @@
 // What a material is like over a piece, against closed forms: vertex colours, emissive pictures, surfaces that let light pass.
-#include "bake/surface_sampling.h"
+#include "bake/rays/surface_sampling.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <numbers>
 
-#include "bake/sobol.h"
+#include "bake/rays/sobol.h"
 #include "tests/bake/analytic_scenes.h"
 
 namespace ff::bake {

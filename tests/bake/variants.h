@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "bake/scene_cleanup.h"
+#include "bake/cleanup/scene_cleanup.h"
 #include "tests/bake/analytic_scenes.h"
 
 namespace ff::bake::test {

@@ -6,7 +6,7 @@
 #include <map>
 #include <numbers>
 
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "stream/streamer.h"
 #include "tests/bench/accuracy.h"
 #include "tools/chart/eyes.h"

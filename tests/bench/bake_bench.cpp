@@ -15,8 +15,8 @@
 #include <vector>
 
 #include "bake/bake.h"
-#include "bake/form_factor.h"
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
+#include "bake/light/form_factor.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_town.h"

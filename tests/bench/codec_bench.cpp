@@ -14,7 +14,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bake/bake.h"
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "formats/reader.h"
 #include "formats/records.h"
 #include "formats/writer.h"

@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bake/bake.h"
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_town.h"
 

@@ -6,7 +6,7 @@
 #include <filesystem>
 
 #include "bake/bake.h"
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "runtime/facet_scene.h"
 #include "tests/bake/analytic_scenes.h"
 #include "tests/formats/random_world.h"

@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-#include "bake/ray_caster.h"
+#include "bake/rays/ray_caster.h"
 #include "formats/reader.h"
 #include "runtime/full_solve.h"
 #include "runtime/node_values.h"

@@ -9,7 +9,7 @@
 #include <tuple>
 #include <vector>
 
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "tools/scene_analytic.h"
 #include "tools/scene_glb.h"
 #include "tools/scene_kinds.h"

@@ -7,7 +7,7 @@
 #include <numbers>
 #include <utility>
 
-#include "bake/row_sampling.h"
+#include "bake/matrix/row_sampling.h"
 
 namespace ff::chart {
 

@@ -5,9 +5,9 @@
 #include <span>
 #include <vector>
 
-#include "bake/patches.h"
-#include "bake/pool.h"
-#include "bake/ray_caster.h"
+#include "bake/matrix/pool.h"
+#include "bake/rays/ray_caster.h"
+#include "bake/surface/patches.h"
 
 namespace ff::chart {
 

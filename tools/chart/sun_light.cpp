@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "bake/ray_caster.h"
+#include "bake/rays/ray_caster.h"
 
 namespace ff::chart {
 namespace {

@@ -5,7 +5,7 @@
 #include <filesystem>
 #include <utility>
 
-#include "bake/gltf_import.h"
+#include "bake/import/gltf_import.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/page/figure_text.h"
 #include "tools/chart/paper/methods.h"

@@ -5,13 +5,13 @@
 #include <cmath>
 #include <utility>
 
-#include "bake/form_factor.h"
+#include "bake/light/form_factor.h"
 #include "runtime/node_values.h"
 #include "runtime/solver.h"
 #include "stream/streamer.h"
 #include "tools/chart/baked_scene.h"
-#include "tools/chart/patch_rows.h"
 #include "tools/chart/neighbourhood.h"
+#include "tools/chart/patch_rows.h"
 #include "tools/chart/stability/parts.h"
 
 namespace ff::chart {

@@ -6,7 +6,7 @@
 #include <optional>
 #include <utility>
 
-#include "bake/form_factor.h"
+#include "bake/light/form_factor.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/stability/parts.h"

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "bake/gltf_import.h"
-#include "bake/scene_cleanup.h"
+#include "bake/cleanup/scene_cleanup.h"
+#include "bake/import/gltf_import.h"
 #include "tools/chart/kept_bake.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/sweep/error_sources.h"

@@ -11,7 +11,7 @@
 #include <string>
 #include <thread>
 
-#include "bake/lamp_groups.h"
+#include "bake/surface/lamp_groups.h"
 #include "tools/chart/truth/sampling.h"
 #include "tools/chart/truth/scene_surface.h"
 

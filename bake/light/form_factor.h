@@ -1,0 +1,60 @@
+// Form factors by ray casting: row i of the hit matrix counts where `rays` cosine-distributed rays from patch i end.
+//   F_ij = 1/A_i int_Ai int_Aj cos(i) cos(j) / (pi r^2) V dAj dAi  is estimated by  h_ij / rays.
+// Michael F. Cohen, John R. Wallace. Radiosity and Realistic Image Synthesis. 1993, chapter 4.
+// A patch's rays depend on its number and the seed alone.
+//
+// Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
+// all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).
+// So does one that sees sealed surface (sealed.h): no light gets in or out there, so it lies inside.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "bake/light/lamp_light.h"
+#include "bake/light/sky_light.h"
+#include "bake/rays/ray_caster.h"
+#include "bake/rays/sobol.h"
+#include "bake/surface/patches.h"
+
+namespace ff::bake {
+
+// A patch is narrow where most of its rays (kMostRays) end within four cells, as in an alley or a thick wall, and very narrow
+// where they end within one.
+inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
+inline constexpr double kMostRays = 0.6;
+
+// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
+struct HitRows {
+  std::vector<uint32_t> rays;      // per patch
+  std::vector<uint64_t> start;     // patches + 1
+  std::vector<uint32_t> column;
+  std::vector<uint16_t> count;
+  std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
+  std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
+  std::vector<SkyMeans> sky_means;       // per patch
+  std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
+  std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to; left behind by renumber()
+};
+
+// Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere: those of castRows().
+void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
+               const RayCaster& caster, std::span<Ray> rays);
+
+// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535; rays towards lamps and, where
+// it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
+                 std::atomic<uint64_t>& done);
+
+// Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
+inline float exposedFraction(const HitRows& rows, size_t patch) {
+  return std::max(1e-6f, 1 - static_cast<float>(rows.buried[patch]) / static_cast<float>(rows.rays[patch]));
+}
+
+// The same rows with patch p renumbered to number[p].
+HitRows renumber(const HitRows& rows, std::span<const uint32_t> number);
+
+}  // namespace ff::bake

@@ -1,0 +1,157 @@
+#include "bake/light/lamp_light.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "bake/rays/surface_sampling.h"
+
+namespace ff::bake {
+namespace {
+
+// Of a row's rays: those that look around, and the least that are cast towards lamps.
+constexpr uint32_t kLookShare = 32, kLeastShare = 16, kLeastRays = 16;
+constexpr double kError = 0.02;  // relative, of a patch's light of lamps: more rays until then
+// What is known of an aim before a ray was sent there: that it is seen by this much, with the weight of one ray.
+constexpr double kSeenBefore = 0.25;
+
+// Seeds of their own, so that these points have nothing to do with the row's.
+constexpr uint64_t kLookSeed = 0x6c6f6f6b, kCastSeed = 0x63617374;
+
+double luminance(Vec3 c) {
+  return 0.2126 * static_cast<double>(c.x) + 0.7152 * static_cast<double>(c.y) + 0.0722 * static_cast<double>(c.z);
+}
+
+}  // namespace
+
+LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group) {
+  const auto at = std::lower_bound(lamps.begin(), lamps.end(), group, [](const LampIrradiance& l, uint16_t g) { return l.group < g; });
+  return at != lamps.end() && at->group == group ? *at : *lamps.insert(at, {group, {}});
+}
+
+LampLight::LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t rays,
+                     uint64_t seed)
+    : scene_(scene), set_(set), caster_(caster), tree_(tree), row_rays_(rays), most_rays_(std::max(rays, kLeastRays)), seed_(seed),
+      sobol_(most_rays_), aim_of_node_(tree.nodes()) {}
+
+void LampLight::aim(uint32_t patch) {
+  patch_ = patch;
+  count_ = 0;
+  light_.clear();
+  tree_.aimsOf(receiverOf(set_, patch), aims_);
+  chance_.clear();
+  if (aims_.empty()) return;
+  double all = 0;
+  for (const LampTree::Aim& a : aims_) all += static_cast<double>(a.importance);
+  const auto setChances = [&] {
+    cumulative_.resize(aims_.size());
+    double sum = 0;
+    for (size_t a = 0; a < aims_.size(); ++a) cumulative_[a] = sum += chance_[a];
+  };
+  for (size_t a = 0; a < aims_.size(); ++a) {
+    chance_.push_back(static_cast<double>(aims_[a].importance) / all);
+    aim_of_node_[aims_[a].node] = static_cast<uint32_t>(a);
+  }
+  setChances();
+
+  points_.resize(std::max(kLeastRays, most_rays_ / kLookShare));
+  surfacePoints(scene_, set_, patch, sobol_, seed_ ^ kLookSeed, caster_, points_);
+  std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1), square(aims_.size());
+  double mean = 0;
+  for (size_t k = 0; k < points_.size(); ++k) {
+    const double choice = (static_cast<double>(k) + 0.5) / static_cast<double>(points_.size());
+    const size_t a = static_cast<size_t>(std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), choice * cumulative_.back()),
+                                                  cumulative_.end() - 1) - cumulative_.begin());
+    const Sample s = sample(points_[k], choice);
+    cast[a] += 1;
+    if (!(s.arriving > 0) || !sees(points_[k], s.to)) continue;
+    seen[a] += 1;
+    const double light = luminance(set_.patches[s.to.patch].emission) * s.arriving / s.density;
+    mean += light;
+    square[a] += light * light;
+  }
+  const auto n = static_cast<double>(points_.size());
+  mean /= n;
+  all = 0;
+  for (size_t a = 0; a < aims_.size(); ++a) all += chance_[a] * seen[a] / cast[a];
+  double second = 0;  // moment, of a ray's light by the chances from now on
+  for (size_t a = 0; a < aims_.size(); ++a) {
+    const double change = seen[a] / cast[a] / all;
+    chance_[a] *= change;
+    second += square[a] / n / change;
+  }
+  setChances();
+  const double wanted = mean > 0 ? std::max(0.0, second / (mean * mean) - 1) / (kError * kError) : 0;
+  count_ = std::max({kLeastRays, most_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(most_rays_, wanted))});
+}
+
+LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) const {
+  const double x = choice * cumulative_.back();
+  const auto found = std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), x), cumulative_.end() - 1);
+  const auto a = static_cast<size_t>(found - cumulative_.begin());
+  const double before = a > 0 ? cumulative_[a - 1] : 0;
+  const double within = chance_[a] > 0 ? std::clamp((x - before) / chance_[a], 0.0, 0x1.fffffep-1) : 0.5;
+  Sample s;
+  s.to = tree_.point(aims_[a].node, static_cast<float>(within), from.u, from.v);
+  const Vec3 way = s.to.position - from.position;
+  const double square = static_cast<double>(dot(way, way)), distance = std::sqrt(square);
+  if (!(distance > 0)) return s;
+  const double leaving = -static_cast<double>(dot(s.to.normal, way)) / distance;
+  if (!(leaving > 0)) return s;
+  s.arriving = std::max(0.0, static_cast<double>(dot(from.normal, way)) / distance);
+  s.density = chance_[a] * tree_.density(aims_[a].node, s.to.patch) * square / leaving;
+  return s;
+}
+
+bool LampLight::sees(const SurfacePoint& from, const LampTree::Point& to) const {
+  if (scene_.materials[scene_.triangles[to.triangle].material].cutout) {  // points are spread over the whole, holes included
+    const auto [b, c] = barycentric(scene_, to.triangle, to.position);
+    if (isHole(scene_, to.triangle, b, c)) return false;
+  }
+  const Vec3 end = to.position + to.normal * caster_.surfaceOffset(to.triangle), way = end - from.position;
+  const float distance = length(way);
+  return distance > 0 && !caster_.occluded({from.position, way / distance}, distance);
+}
+
+void LampLight::add(uint32_t emitter, double weight) {
+  const Patch& p = set_.patches[emitter];
+  LampIrradiance& light = entryOf(light_, p.lamp_group);
+  for (int c = 0; c < 3; ++c) light.rgb[static_cast<size_t>(c)] += weight * static_cast<double>(p.emission[c]);
+}
+
+// With p the density of the row's rays (cosine / pi) and q that of rays towards lamps, both per steradian, N and K their numbers,
+// and P = N p, Q = K q: a ray of the row that arrives counts with the weight P^2 / (P^2 + Q^2), one towards a lamp with
+// Q^2 / (P^2 + Q^2), the power heuristic; and stands for p / P or p / Q of the emission.
+void LampLight::hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& ray, Vec3 at, float cosine) {
+  const uint32_t leaf = tree_.leafOf(emitter);
+  if (leaf == kNone) return;
+  double density = 0;
+  for (uint32_t node = leaf; node != kNone; node = tree_.parent(node)) {
+    const uint32_t a = aim_of_node_[node];
+    if (a >= aims_.size() || aims_[a].node != node) continue;
+    const auto& v = scene_.triangles[triangle].v;
+    const Vec3 corner = scene_.positions[v[0]];
+    const Vec3 normal = normalized(cross(scene_.positions[v[1]] - corner, scene_.positions[v[2]] - corner)) * (front ? 1.0f : -1.0f);
+    const Vec3 way = at - ray.origin;
+    const double leaving = -static_cast<double>(dot(normal, ray.direction));
+    if (leaving > 0) density = chance_[a] * tree_.density(node, emitter) * static_cast<double>(dot(way, way)) / leaving;
+    break;
+  }
+  const double own = static_cast<double>(cosine) * std::numbers::inv_pi;
+  if (own > 0) add(emitter, powerWeight(row_rays_ * own, count_ * density) / row_rays_);
+}
+
+std::vector<LampIrradiance> LampLight::finish() {
+  points_.resize(count_);
+  if (count_ > 0) surfacePoints(scene_, set_, patch_, sobol_, seed_ ^ kCastSeed, caster_, points_);
+  const double offset = unitOf(mix64(seed_ ^ kCastSeed) + patch_);
+  for (uint32_t k = 0; k < count_; ++k) {
+    const Sample s = sample(points_[k], (k + offset) / count_);
+    if (!(s.arriving > 0) || !sees(points_[k], s.to)) continue;
+    const double own = s.arriving * std::numbers::inv_pi;
+    add(s.to.patch, own * powerWeight(count_ * s.density, row_rays_ * own) / (count_ * s.density));
+  }
+  return light_;
+}
+
+}  // namespace ff::bake

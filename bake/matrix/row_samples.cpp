@@ -1,0 +1,120 @@
+#include "bake/matrix/row_samples.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "bake/light/surface_points.h"
+#include "formats/model.h"
+
+namespace ff::bake {
+namespace {
+
+constexpr uint32_t kOffsets = 2 * formats::kMaxRowFactor;  // two for the rows with the most samples
+constexpr uint32_t kSunPoints = 8;   // of a patch
+constexpr float kSunOverSky = 3.5f;  // on a patch that faces it, of an open, level patch's skylight: a clear day
+constexpr std::array<Vec3, kSuns> kTowardsSun = {
+    {{0.5f, 0.7071068f, 0.5f}, {-0.5f, 0.7071068f, 0.5f}, {-0.5f, 0.7071068f, -0.5f}, {0.5f, 0.7071068f, -0.5f}}};
+
+}  // namespace
+
+std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed) {
+  std::vector<SunLight> light(set.patches.size());
+  const SobolTable sobol(kSunPoints);
+  tbb::parallel_for(uint32_t{0}, static_cast<uint32_t>(light.size()), [&](uint32_t p) {
+    std::array<SurfacePoint, kSunPoints> points;
+    surfacePoints(scene, set, p, sobol, seed, caster, points);
+    for (size_t s = 0; s < kSuns; ++s)
+      for (const SurfacePoint& point : points) {
+        const float cosine = dot(point.normal, kTowardsSun[s]);
+        if (cosine > 0 && !caster.occluded({point.position, kTowardsSun[s]}, std::numeric_limits<float>::infinity()))
+          light[p][s] += kSunOverSky * cosine / kSunPoints;
+      }
+  });
+  return light;
+}
+
+RowSamples::RowSamples(const ExchangeLevel& patches, std::span<const NodeValues> values, std::span<const SunLight> sun)
+    : direct_(patches.nodes()), radiosity_(patches.nodes()) {
+  tbb::enumerable_thread_specific<ExchangeRow> rows;
+  const auto reflect = [&](uint32_t node, double irradiance) {
+    const Vec3 albedo = values[node].node.albedo;
+    return (albedo.x + albedo.y + albedo.z) / 3 * static_cast<float>(irradiance);
+  };
+  tbb::parallel_for(0u, patches.nodes(), [&](uint32_t i) {
+    ExchangeRow& row = rows.local();
+    patches.row(i, row);
+    Values& direct = direct_[i];
+    direct[kSky] = static_cast<float>(row.sky_m2) / patches.area(i);
+    for (size_t s = 0; s < kSuns; ++s) direct[s] = direct[kSky] + sun[i][s];
+    for (const LampIrradiance& lamp : row.lamps)
+      for (const double watts : lamp.rgb) direct[kLamps] += static_cast<float>(watts) / patches.area(i) / 3;
+    for (size_t l = 0; l < kLights; ++l) radiosity_[i][l] = reflect(i, static_cast<double>(direct[l]));
+  });
+  std::vector<Values> next(patches.nodes());
+  tbb::parallel_for(0u, patches.nodes(), [&](uint32_t i) {
+    ExchangeRow& row = rows.local();
+    patches.row(i, row);
+    std::array<double, kLights> gathered{};  // W
+    for (size_t k = 0; k < row.column.size(); ++k)
+      for (size_t l = 0; l < kLights; ++l) gathered[l] += row.area_m2[k] * static_cast<double>(radiosity_[row.column[k]][l]);
+    for (size_t l = 0; l < kLights; ++l)
+      next[i][l] = reflect(i, static_cast<double>(direct_[i][l]) + gathered[l] / static_cast<double>(patches.area(i)));
+  });
+  radiosity_ = std::move(next);
+}
+
+RowSamples::RowSamples(const RowSamples& children, std::span<const NodeValues> values, std::span<const uint32_t> parents, uint32_t nodes)
+    : direct_(nodes), radiosity_(nodes) {
+  std::vector<float> area(nodes);
+  for (size_t i = 0; i < parents.size(); ++i) area[parents[i]] += values[i].node.area_m2;
+  for (size_t i = 0; i < parents.size(); ++i) {
+    const uint32_t p = parents[i];
+    const float share = values[i].node.area_m2 / area[p];
+    for (size_t l = 0; l < kLights; ++l) {
+      direct_[p][l] += share * children.direct_[i][l];
+      radiosity_[p][l] += share * children.radiosity_[i][l];
+    }
+  }
+}
+
+uint32_t RowSamples::factor(uint32_t node, const ExchangeRow& row, uint32_t quanta) const {
+  const double sum = row.total_m2();
+  if (!(sum > 0)) return 1;
+  std::array<std::array<double, kLights>, kOffsets> light{};  // of the row's samples at each offset, added up
+  const double scale = kOffsets * quanta / sum;
+  double at = 0;
+  uint64_t taken = 0;
+  for (size_t k = 0; k < row.column.size(); ++k) {
+    at += row.area_m2[k] * scale;
+    const auto reached = static_cast<uint64_t>(at);
+    const Values& from = radiosity_[row.column[k]];
+    const uint64_t rounds = (reached - taken) / kOffsets;
+    if (rounds > 0)
+      for (auto& sums : light)
+        for (size_t l = 0; l < kLights; ++l) sums[l] += static_cast<double>(rounds) * static_cast<double>(from[l]);
+    for (taken += rounds * kOffsets; taken < reached; ++taken)
+      for (size_t l = 0; l < kLights; ++l) light[taken % kOffsets][l] += static_cast<double>(from[l]);
+  }
+  uint32_t factor = 1;
+  for (size_t l = 0; l < kLights; ++l) {
+    double mean = 0;
+    for (const auto& sums : light) mean += sums[l] / kOffsets;
+    const double got = static_cast<double>(direct_[node][l]) * quanta + mean;
+    const double bound = l == kLamps ? kLampRowError * got : kDayRowError * (got + kDayDark * quanta);
+    // A row with twice as many samples is the mean of two rows half a step apart.
+    uint32_t offsets = kOffsets;
+    for (uint32_t own = 1;; own *= 2, offsets /= 2) {
+      double square = 0;
+      for (uint32_t p = 0; p < offsets; ++p) square += (light[p][l] - mean) * (light[p][l] - mean) / offsets;
+      if (square <= bound * bound || own == formats::kMaxRowFactor) break;
+      factor = std::max(factor, 2 * own);
+      for (uint32_t p = 0; p < offsets / 2; ++p) light[p][l] = (light[p][l] + light[p + offsets / 2][l]) / 2;
+    }
+  }
+  return factor;
+}
+
+}  // namespace ff::bake

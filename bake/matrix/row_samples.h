@@ -1,0 +1,45 @@
+// How many samples a row needs. Where most of what a patch gets comes from few bright surfaces (a ceiling lit by the sill of a
+// window that the sun shines on), the row's Q samples meet each of them once or not at all, and its neighbours' rows do
+// otherwise: clouds. So a row's error is measured before the row is sampled: the samples of sampleRow() for all offsets that are
+// multiples of 1/16 are those of one row with 16 times as many, and how far their light spreads is the error. It is measured under
+// some lights of which a world is likely to see one: the sky alone, the sky with the sun from each of four sides, and the scene's lamps.
+// A row that errs by more than the bounds below, under any of them, is given twice, four or eight times as many samples.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "bake/matrix/pool.h"
+#include "bake/matrix/pyramid.h"
+#include "bake/rays/ray_caster.h"
+#include "bake/surface/patches.h"
+
+namespace ff::bake {
+
+// Standard deviation of a row's light, of all the light that the node gets; by day of 1/64 of an open, level patch's skylight as well.
+inline constexpr double kDayRowError = 1.0 / 16, kDayDark = 1.0 / 64, kLampRowError = 1.0 / 4;
+
+inline constexpr size_t kSuns = 4;
+using SunLight = std::array<float, kSuns>;  // on a patch from each side, of an open, level patch's skylight
+
+// By patch, from a few points of each, on all of TBB's threads. Positions as the caster has them.
+std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed);
+
+class RowSamples {
+ public:
+  // Lets each light bounce twice, on all of TBB's threads. sun: by node. Memory: 48 bytes a node.
+  RowSamples(const ExchangeLevel& patches, std::span<const NodeValues> values, std::span<const SunLight> sun);
+  // The light of the nodes of the level above: means over their children. values: of the children.
+  RowSamples(const RowSamples& children, std::span<const NodeValues> values, std::span<const uint32_t> parents, uint32_t nodes);
+  // How many times as many samples as `quanta` the row of a node needs: 1 to formats::kMaxRowFactor. Thread-safe.
+  uint32_t factor(uint32_t node, const ExchangeRow& row, uint32_t quanta) const;
+
+ private:
+  static constexpr size_t kSky = kSuns, kLamps = kSuns + 1, kLights = kSuns + 2;
+  using Values = std::array<float, kLights>;
+  std::vector<Values> direct_;     // irradiance from the lights themselves, by node
+  std::vector<Values> radiosity_;  // of what the node reflects
+};
+
+}  // namespace ff::bake

@@ -1,0 +1,309 @@
+#include "bake/surface/fences.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <tuple>
+
+#include "bake/rays/surface_sampling.h"
+#include "bake/surface/union_find.h"
+
+namespace ff::bake {
+namespace {
+
+constexpr double kHairCells = 1e-3;
+constexpr double kHairsOffBorder = 0.25;  // a fence so near a border stands on it
+constexpr size_t kMostFences = 256, kMostParts = 256;  // of a piece: past them, the longest fences count
+constexpr int kLooks = 8;  // along a border
+
+struct Plane {
+  Point at, normal;
+  double above(const Point& p) const { return dot(normal, p - at); }
+};
+
+// A triangle that rises through the plane a hair above a surface: `above` is where it does, `foot` where it stands. Both lie in
+// the surface's plane.
+struct Fence {
+  Segment above, foot;
+};
+
+bool fenceOf(const Plane& plane, const std::array<Point, 3>& corners, double hair, Fence* fence) {
+  std::array<double, 3> z;
+  for (size_t k = 0; k < 3; ++k) z[k] = plane.above(corners[k]);
+  const auto [lo, hi] = std::minmax({z[0], z[1], z[2]});
+  if (!(lo < hair && hi >= hair)) return false;
+  std::array<Point, 2> crossing;
+  size_t n = 0;
+  for (size_t k = 0; k < 3 && n < 2; ++k) {
+    const size_t j = (k + 1) % 3;
+    if ((z[k] < hair) == (z[j] < hair)) continue;
+    crossing[n++] = corners[k] + (corners[j] - corners[k]) * ((hair - z[k]) / (z[j] - z[k]));
+  }
+  const Point area = cross(corners[1] - corners[0], corners[2] - corners[0]);
+  const Point m = area * (1 / length(area));
+  const Point down = m * dot(m, plane.normal) - plane.normal;  // along the triangle; its length is the slope's sine
+  const double sine2 = dot(down, down), foot = std::max(0.0, lo);
+  if (!(sine2 > 1e-12)) return false;
+  const Point run = down * ((hair - foot) / sine2);
+  fence->above = {crossing[0] - plane.normal * hair, crossing[1] - plane.normal * hair};
+  fence->foot = {crossing[0] + run - plane.normal * foot, crossing[1] + run - plane.normal * foot};
+  return true;
+}
+
+// Only what reaches from border to border, or is part of a ring, parts a polygon: whatever has fewer than two contacts goes,
+// and so does what it held.
+void dropDangling(const Polygon& polygon, double gap, std::vector<Segment>& fences) {
+  const size_t n = fences.size();
+  std::vector<std::vector<uint32_t>> touching(n);
+  std::vector<size_t> contacts(n, 0);
+  const auto apart = [&](const Segment& s, const Segment& t) {
+    for (int a = 0; a < 3; ++a)
+      if (std::min(s.a[a], s.b[a]) > std::max(t.a[a], t.b[a]) + gap || std::min(t.a[a], t.b[a]) > std::max(s.a[a], s.b[a]) + gap)
+        return true;
+    return false;
+  };
+  for (uint32_t i = 0; i < n; ++i) {
+    for (const Point& end : {fences[i].a, fences[i].b})
+      for (size_t k = 0; k < polygon.size(); ++k)
+        if (distance(end, Segment{polygon[k], polygon[(k + 1) % polygon.size()]}) <= gap) {
+          ++contacts[i];
+          break;
+        }
+    for (uint32_t j = 0; j < i; ++j)
+      if (!apart(fences[i], fences[j]) && distance(fences[i], fences[j]) <= gap) {
+        touching[i].push_back(j);
+        touching[j].push_back(i);
+      }
+  }
+  for (uint32_t i = 0; i < n; ++i) contacts[i] += touching[i].size();
+  std::vector<uint32_t> loose;
+  std::vector<bool> gone(n, false);
+  for (uint32_t i = 0; i < n; ++i)
+    if (contacts[i] < 2) loose.push_back(i);
+  while (!loose.empty()) {
+    const uint32_t i = loose.back();
+    loose.pop_back();
+    if (gone[i]) continue;
+    gone[i] = true;
+    for (const uint32_t j : touching[i])
+      if (!gone[j] && --contacts[j] < 2) loose.push_back(j);
+  }
+  size_t kept = 0;
+  for (size_t i = 0; i < n; ++i)
+    if (!gone[i]) fences[kept++] = fences[i];
+  fences.resize(kept);
+}
+
+// A binary space partition: convex polygons, each a leaf or cut into two.
+struct Part {
+  Polygon polygon;
+  uint32_t cut = 0;  // number of the first of its two parts; 0: a leaf
+};
+
+void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Part>& parts) {
+  const Point along = fence.b - fence.a;
+  const Point across = cross(normal, along) * (1 / length(along));
+  const double offset = dot(across, fence.a);
+  const auto side = [&](const Point& p) { return dot(across, p) - offset; };
+  const auto crossing = [&](const Point& lo, const Point& hi) { return lo + (hi - lo) * (side(lo) / (side(lo) - side(hi))); };
+  const size_t before = parts.size();
+  Polygon below, above;
+  for (size_t i = 0; i < before && parts.size() + 2 <= 2 * kMostParts; ++i) {
+    if (parts[i].cut) continue;
+    Segment inside = fence;
+    if (!clipInside(parts[i].polygon, normal, eps, inside) || length(inside.b - inside.a) <= eps) continue;
+    split(parts[i].polygon, side, crossing, eps, below, above);
+    if (below.size() < 3 || above.size() < 3) continue;
+    parts[i].cut = static_cast<uint32_t>(parts.size());
+    parts.push_back({below});
+    parts.push_back({above});
+  }
+}
+
+}  // namespace
+
+struct Fences::Found {
+  std::vector<Segment> fences;  // that may part it, the longest first; both sides'
+  bool fenced[2] = {}, close[2] = {};  // close: something may lie on it
+};
+
+Vec3 Fences::metres(Point p) const {
+  return {static_cast<float>(p.x * cell_m_), static_cast<float>(p.y * cell_m_), static_cast<float>(p.z * cell_m_)};
+}
+
+std::array<Point, 3> Fences::cornersOf(uint32_t triangle) const {
+  std::array<Point, 3> corners;
+  for (size_t k = 0; k < 3; ++k) {
+    const Vec3 p = scene_.positions[scene_.triangles[triangle].v[k]];
+    corners[k] = {static_cast<double>(p.x) / cell_m_, static_cast<double>(p.y) / cell_m_, static_cast<double>(p.z) / cell_m_};
+  }
+  return corners;
+}
+
+double Fences::hairOf(uint32_t triangle) const {
+  return std::max(kHairCells, 4 * static_cast<double>(caster_.surfaceOffset(triangle)) / cell_m_);
+}
+
+double Fences::touchOf(uint32_t triangle) const { return 0.1 * static_cast<double>(caster_.surfaceOffset(triangle)) / cell_m_; }
+
+Point Fences::normalOf(uint32_t triangle) const {
+  const auto [a, b, c] = cornersOf(triangle);
+  const Point n = cross(b - a, c - a);
+  const double l = length(n);
+  return l > 0 ? n * (1 / l) : Point{0, 1, 0};
+}
+
+Fences::Found Fences::find(const Piece& piece) const {
+  Found found;
+  const Point normal = normalOf(piece.triangle);
+  const double hair = hairOf(piece.triangle), touch = touchOf(piece.triangle);
+  Point lo = piece.polygon[0], hi = lo;
+  for (const Point& p : piece.polygon)
+    for (int a = 0; a < 3; ++a) {
+      lo[a] = std::min(lo[a], p[a]);
+      hi[a] = std::max(hi[a], p[a]);
+    }
+  const double radius = length(hi - lo) / 2 + 2 * hair, eps = kHairsOffBorder * hair;
+  const int sides = patchedSides(scene_.materials[scene_.triangles[piece.triangle].material]);
+  std::vector<uint32_t> near;
+  caster_.near(metres((lo + hi) * 0.5), static_cast<float>(radius * cell_m_), near);
+  for (const uint32_t u : near) {
+    if (u == piece.triangle) continue;
+    const auto corners = cornersOf(u);
+    for (int side = 0; side < sides; ++side) {
+      const Plane plane{piece.polygon[0], side == 0 ? normal : normal * -1};
+      Fence fence;
+      if (fenceOf(plane, corners, hair, &fence)) {
+        // What leans away from it does not stand on it: the other side of a fold.
+        if (!clipInside(piece.polygon, normal, -eps, fence.above)) continue;
+        found.fenced[side] = true;
+        if (clipInside(piece.polygon, normal, 0, fence.foot) && length(fence.foot.b - fence.foot.a) > eps)
+          found.fences.push_back(fence.foot);
+        continue;
+      }
+      const std::array<double, 3> z{plane.above(corners[0]), plane.above(corners[1]), plane.above(corners[2])};
+      const auto [least, most] = std::minmax({z[0], z[1], z[2]});
+      if (!(most < hair && most > touch && least > -touch)) continue;
+      found.close[side] = true;
+      for (size_t k = 0; k < 3; ++k) {
+        Segment edge{corners[k] - plane.normal * z[k], corners[(k + 1) % 3] - plane.normal * z[(k + 1) % 3]};
+        Segment inside = edge;
+        if (clipInside(piece.polygon, normal, eps, inside) && clipInside(piece.polygon, normal, 0, edge) && length(edge.b - edge.a) > eps)
+          found.fences.push_back(edge);
+      }
+    }
+  }
+  std::sort(found.fences.begin(), found.fences.end(), [](const Segment& s, const Segment& t) {
+    const auto key = [](const Segment& x) { return std::tuple(-length(x.b - x.a), x.a.x, x.a.y, x.a.z, x.b.x, x.b.y, x.b.z); };
+    return key(s) < key(t);
+  });
+  if (found.fences.size() > kMostFences) found.fences.resize(kMostFences);
+  dropDangling(piece.polygon, 2 * hair, found.fences);
+  return found;
+}
+
+void Fences::cut(Piece piece, std::vector<Piece>& out) const {
+  const Found found = find(piece);
+  std::copy_n(found.fenced, 2, piece.fenced);
+  std::vector<Part> parts{{piece.polygon}};
+  if (!found.fences.empty()) {
+    const Point normal = normalOf(piece.triangle);
+    for (const Segment& fence : found.fences) cutAlong(fence, normal, kHairsOffBorder * hairOf(piece.triangle), parts);
+  }
+  std::vector<Piece> leaves;
+  std::vector<uint32_t> leaf_of(parts.size(), 0);
+  for (size_t i = 0; i < parts.size(); ++i) {
+    if (parts[i].cut) continue;
+    leaf_of[i] = static_cast<uint32_t>(leaves.size());
+    Piece leaf = piece;
+    leaf.polygon = parts[i].polygon;
+    for (int side = 0; side < 2; ++side)
+      leaf.covered[side] = found.close[side] && isCovered(piece.triangle, side == 1, middle(leaf.polygon));
+    leaves.push_back(std::move(leaf));
+  }
+  // Parts that belong together on both sides are one again where they came from one cut.
+  const int sides = patchedSides(scene_.materials[scene_.triangles[piece.triangle].material]);
+  std::array<UnionFind, 2> sets{UnionFind(leaves.size()), UnionFind(leaves.size())};
+  for (int side = 0; side < sides; ++side) {
+    auto& set = sets[static_cast<size_t>(side)];
+    for (uint32_t i = 0; i < leaves.size(); ++i)
+      for (uint32_t j = 0; j < i; ++j)
+        if (set.find(i) != set.find(j) && between({&leaves[i], side == 1}, {&leaves[j], side == 1}) == Border::kOpen) set.join(i, j);
+  }
+  const auto label = [&](uint32_t leaf) { return std::pair(sets[0].find(leaf), sets[1].find(leaf)); };
+  for (size_t i = parts.size(); i-- > 0;) {
+    const uint32_t first = parts[i].cut;
+    if (!first || parts[first].cut || parts[first + 1].cut || label(leaf_of[first]) != label(leaf_of[first + 1])) continue;
+    leaf_of[i] = leaf_of[first];
+    parts[i].cut = 0;
+    parts[first].polygon.clear();
+    parts[first + 1].polygon.clear();
+  }
+  for (size_t i = 0; i < parts.size(); ++i) {
+    if (parts[i].cut || parts[i].polygon.empty()) continue;
+    Piece part = leaves[leaf_of[i]];
+    part.polygon = std::move(parts[i].polygon);
+    out.push_back(std::move(part));
+  }
+}
+
+Fences::Border Fences::between(PieceSide a, PieceSide b) const {
+  Border border = Border::kApart;
+  for (const SharedBorder& shared : sharedBorders(a.piece->polygon, b.piece->polygon, kBorderCells)) {
+    if (isOpen(a, b, shared)) return Border::kOpen;
+    border = Border::kClosed;
+  }
+  return border;
+}
+
+bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const {
+  if (a.piece->covered[a.back] != b.piece->covered[b.back]) return false;
+  if (!a.piece->fenced[a.back] && !b.piece->fenced[b.back]) return true;
+  // Where an eye a hair above the surface is, half a hair inside of a side of a polygon.
+  struct Rim {
+    Point at, along, lift;
+    Point eye(Point p) const { return at + along * dot(p - at, along) + lift; }
+  };
+  const double hair = std::max(hairOf(a.piece->triangle), hairOf(b.piece->triangle));
+  const auto rim = [&](PieceSide s, size_t side) {
+    const Polygon& p = s.piece->polygon;
+    const Point normal = normalOf(s.piece->triangle), edge = p[(side + 1) % p.size()] - p[side];
+    const Point along = edge * (1 / length(edge));
+    return Rim{p[side], along, cross(normal, along) * (hair / 2) + normal * (s.back ? -hair : hair)};
+  };
+  const Rim of_a = rim(a, shared.side_p), of_b = rim(b, shared.side_q);
+  const Point edge = shared.line.b - shared.line.a;
+  const double l = length(edge);
+  const auto seen = [&](double at) {
+    const Point p = shared.line.a + edge * std::clamp(at, 0.0, 1.0);
+    const Vec3 from = metres(of_a.eye(p)), to = metres(of_b.eye(p));
+    const float way = ff::length(to - from);
+    return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+  };
+  for (int k = 0; k < kLooks; ++k) {
+    const double at = (k + 0.5) / kLooks;
+    if (seen(at) && seen(at - hair / l) && seen(at + hair / l)) return true;  // and not through a slit
+  }
+  return false;
+}
+
+bool Fences::sees(PieceSide a, PieceSide b) const {
+  const auto eye = [&](PieceSide s) {
+    const uint32_t t = s.piece->triangle;
+    return metres(middle(s.piece->polygon) + normalOf(t) * (s.back ? -hairOf(t) : hairOf(t)));
+  };
+  const Vec3 from = eye(a), to = eye(b);
+  const float way = ff::length(to - from);
+  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+}
+
+bool Fences::isCovered(uint32_t triangle, bool back, Point point) const {
+  const Point normal = normalOf(triangle) * (back ? -1.0 : 1.0);
+  const Vec3 down{static_cast<float>(-normal.x), static_cast<float>(-normal.y), static_cast<float>(-normal.z)};
+  const double hair = hairOf(triangle), touch = touchOf(triangle);
+  const Hit hit = caster_.nearest({metres(point + normal * hair), down}, static_cast<float>((hair - touch) * cell_m_));
+  return hit.triangle != kNone && hit.triangle != triangle &&
+         (hit.front || scene_.materials[scene_.triangles[hit.triangle].material].double_sided);
+}
+
+}  // namespace ff::bake

@@ -1,0 +1,71 @@
+// What parts surface: a wall that stands on a floor, a sheet whose edge lies in it, a shelf, a frame, a foot.
+//
+// Light may differ on the two sides of such a *fence*, so no patch may reach across one. Pieces are cut along the lines where
+// other surfaces meet them; then those that see each other a hair above the surface belong together again, so that only true
+// partitions part. A hair is a thousandth of a cell, or what rounding asks for: a gap narrower than that counts as closed.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "bake/rays/ray_caster.h"
+#include "bake/scene.h"
+#include "bake/surface/hilbert.h"
+#include "bake/surface/polygon.h"
+
+namespace ff::bake {
+
+struct Piece {
+  Cell cell;          // of the triangle's own grid (fineness.h)
+  uint32_t triangle;  // of the scene
+  int fineness;
+  Polygon polygon;    // in units of base cells, seen from the triangle's front
+  // Of the front and the back:
+  bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
+  bool covered[2] = {};  // another surface lies on it, less than a hair away
+};
+
+struct PieceSide {
+  const Piece* piece;
+  bool back;
+};
+
+class Fences {
+ public:
+  // Scene and caster outlive this.
+  Fences(const Scene& scene, float cell_m, const RayCaster& caster)
+      : scene_(scene), caster_(caster), cell_m_(static_cast<double>(cell_m)) {}
+
+  // Cuts a piece along the fences that part one of its sides, and appends what comes of it: mostly the piece itself.
+  // Thread-safe, as all of this class.
+  void cut(Piece piece, std::vector<Piece>& out) const;
+
+  enum class Border { kApart, kClosed, kOpen };
+  // Whether two pieces share a border, and see each other across it.
+  Border between(PieceSide a, PieceSide b) const;
+  // The same of one border: `shared` is one of sharedBorders(a, b).
+  bool isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const;
+
+  // Whether the middles of two pieces see each other, both from a hair above.
+  bool sees(PieceSide a, PieceSide b) const;
+
+  // Whether another surface lies on a triangle's side at a point of it (cells), less than a hair away: a picture on its wall.
+  bool isCovered(uint32_t triangle, bool back, Point point) const;
+
+ private:
+  struct Found;
+  Found find(const Piece& piece) const;
+  std::array<Point, 3> cornersOf(uint32_t triangle) const;
+  Point normalOf(uint32_t triangle) const;
+  double hairOf(uint32_t triangle) const;   // cells
+  double touchOf(uint32_t triangle) const;  // nearer than this, cells, two surfaces are one
+  Vec3 metres(Point p) const;
+
+  const Scene& scene_;
+  const RayCaster& caster_;
+  double cell_m_;
+};
+
+inline constexpr double kBorderCells = 2e-3;  // borders that lie so near each other are one
+
+}  // namespace ff::bake
