@@ -4,8 +4,8 @@
 #include <string>
 
 #include "formats/storage.h"
+#include "runtime/cut/local_matrix.h"
 #include "runtime/dense/bounce_matrix.h"
-#include "runtime/local_matrix.h"
 
 namespace ff::runtime {
 

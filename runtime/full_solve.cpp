@@ -6,7 +6,7 @@
 #include <array>
 #include <cmath>
 
-#include "runtime/worker_pool.h"
+#include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {
 namespace {

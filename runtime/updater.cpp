@@ -5,7 +5,7 @@
 #include <cmath>
 #include <utility>
 
-#include "runtime/sound_light.h"
+#include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
 namespace {

@@ -5,11 +5,11 @@
 #include <span>
 #include <string>
 
-#include "runtime/converge.h"
+#include "runtime/cut/matrix_assembler.h"
 #include "runtime/lamps.h"
-#include "runtime/matrix_assembler.h"
 #include "runtime/sky.h"
-#include "runtime/solver.h"
+#include "runtime/solver/converge.h"
+#include "runtime/solver/solver.h"
 #include "stream/streamer.h"
 
 namespace ff::runtime {

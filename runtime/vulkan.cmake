@@ -1,6 +1,7 @@
-# The Vulkan half of the room. Callers link ff_runtime_vulkan; only those that include vk_device.h need vulkan.h.
-ff_room(ff_runtime_vulkan dense/vk_baseline.cpp dense/vk_bounce_steps.cpp dense/vk_dense_step.cpp dense/vk_multibounce.cpp dense/vk_plain_local.cpp dense/vk_seed.cpp gather_layout.cpp
-        vk_buffer.cpp vk_device.cpp vk_gather.cpp vk_pipeline.cpp)
+# The Vulkan half of the room. Callers link ff_runtime_vulkan; only those that include vulkan/device.h need vulkan.h.
+ff_room(ff_runtime_vulkan
+  dense/vk_baseline.cpp dense/vk_bounce_steps.cpp dense/vk_dense_step.cpp dense/vk_multibounce.cpp dense/vk_plain_local.cpp dense/vk_seed.cpp
+  gather/gather_layout.cpp gather/vk_gather.cpp vulkan/buffer.cpp vulkan/device.cpp vulkan/pipeline.cpp)
 target_link_libraries(ff_runtime_vulkan PUBLIC ff_runtime PRIVATE Vulkan::Vulkan)
 foreach(step gather gather_enter gather_kinds gather_change gather_leave refine resolve shine)
   ff_embed_spirv(ff_runtime_vulkan shaders/${step}.comp NAME ${step}_comp)
@@ -21,6 +22,6 @@ foreach(step scatter delete)
   ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_comp)
   ff_embed_spirv(ff_runtime_vulkan shaders/plain_${step}.comp NAME plain_${step}_half_comp DEFINES HALF=1)
 endforeach()
-ff_room(ff_formfield_vulkan formfield_vulkan.cpp)
-target_include_directories(ff_formfield_vulkan PRIVATE ${CMAKE_CURRENT_SOURCE_DIR})  # formfield_vulkan.h's "formfield.h"
+ff_room(ff_formfield_vulkan api/formfield_vulkan.cpp)
+target_include_directories(ff_formfield_vulkan PRIVATE ${CMAKE_CURRENT_SOURCE_DIR}/api)  # formfield_vulkan.h's "formfield.h"
 target_link_libraries(ff_formfield_vulkan PUBLIC ff_formfield PRIVATE ff_runtime ff_runtime_vulkan Vulkan::Vulkan)

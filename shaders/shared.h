@@ -18,11 +18,11 @@ struct alignas(16) mat4 {
 #define FF_CONST const
 #endif
 
-// Radiosity, W/m2, that a solver may hold: runtime/sound_light.h's limit of a caller's light, in a room that keeps all
+// Radiosity, W/m2, that a solver may hold: runtime/solver/sound_light.h's limit of a caller's light, in a room that keeps all
 // but a thousandth. Its square times 65536 is still a number.
 FF_CONST float kMaxRadiosity = 1e15f;
 
-// --- gather*.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/vk_gather.cpp ---
+// --- gather*.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
@@ -84,7 +84,7 @@ struct RefinePush {
   uint groups;  // work groups a span
 };
 
-// --- bounce_*.comp: the dense multi-bounce matrix; runtime/vk_multibounce.cpp has the formulas ---
+// --- bounce_*.comp: the dense multi-bounce matrix; runtime/dense/vk_multibounce.cpp has the formulas ---
 FF_CONST uint kBounceGroup = 128u;  // invocations; kFoldGroup for bounce_fold.comp
 FF_CONST uint kBounceBlock = 64u;   // nodes that enter or leave in one step, at most
 FF_CONST uint kBounceTile = 64u;    // matrices are padded to whole tiles of 64 x 64

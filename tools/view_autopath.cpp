@@ -10,7 +10,7 @@
 #include <map>
 #include <numeric>
 
-#include "runtime/box_tree.h"
+#include "runtime/probes/box_tree.h"
 #include "tools/view_camera.h"
 
 namespace ff::view {

@@ -3,7 +3,7 @@
 #include <map>
 #include <utility>
 
-#include "runtime/vk_pipeline.h"
+#include "runtime/vulkan/pipeline.h"
 
 namespace ff::view {
 

@@ -6,8 +6,8 @@
 #include <span>
 #include <vector>
 
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
 
 namespace ff::view {
 

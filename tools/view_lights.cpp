@@ -5,7 +5,7 @@
 #include <cmath>
 #include <thread>
 
-#include "runtime/facet_scene.h"
+#include "runtime/probes/facet_scene.h"
 
 namespace ff::view {
 namespace {

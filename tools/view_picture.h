@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "formats/result.h"
-#include "runtime/local_matrix.h"
+#include "runtime/cut/local_matrix.h"
 
 namespace ff::view {
 

@@ -7,8 +7,8 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
-#include "runtime/node_values.h"
 #include "runtime/updater.h"
 #include "stream/streamer.h"
 #include "tools/view_light.h"

@@ -5,9 +5,9 @@
 #include <optional>
 #include <string>
 
-#include "runtime/vk_context.h"
-#include "tools/view_solver.h"
+#include "runtime/vulkan/context.h"
 #include "tools/view_camera.h"
+#include "tools/view_solver.h"
 
 namespace ff::view {
 

@@ -6,7 +6,7 @@
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/dense_solver.h"
 #include "runtime/dense/vk_multibounce.h"
-#include "runtime/vk_gather.h"
+#include "runtime/gather/vk_gather.h"
 
 namespace ff::view {
 namespace {

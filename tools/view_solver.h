@@ -3,8 +3,8 @@
 #include <memory>
 #include <string>
 
-#include "runtime/solver.h"
-#include "runtime/vk_context.h"
+#include "runtime/solver/solver.h"
+#include "runtime/vulkan/context.h"
 #include "stream/streamer.h"
 
 namespace ff::view {

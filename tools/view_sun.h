@@ -2,7 +2,7 @@
 // Catmull. A Subdivision Algorithm for Computer Display of Curved Surfaces. 1974 (the depth buffer); counting item-buffer
 // texels as in Weghorst, Hooper, Greenberg. Improved Computational Methods for Ray Tracing. 1984.
 #pragma once
-#include "runtime/vk_pipeline.h"
+#include "runtime/vulkan/pipeline.h"
 #include "shaders/shared.h"
 #include "tools/view_geometry.h"
 

@@ -9,7 +9,7 @@
 #include <span>
 
 #include "formats/result.h"
-#include "runtime/local_matrix.h"
+#include "runtime/cut/local_matrix.h"
 
 namespace ff::runtime {
 

@@ -21,7 +21,7 @@
 #include "runtime/dense/bounce_kernels.h"
 #include "runtime/dense/page_memory.h"
 #include "runtime/dense/small_inverse.h"
-#include "runtime/worker_pool.h"
+#include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {
 

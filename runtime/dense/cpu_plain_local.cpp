@@ -5,7 +5,7 @@
 #include "runtime/dense/bounce_kernels.h"
 #include "runtime/dense/cpu_baseline.h"
 #include "runtime/dense/cpu_seed.h"
-#include "runtime/worker_pool.h"
+#include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {
 namespace {

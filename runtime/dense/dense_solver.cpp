@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "runtime/dense/bounce_probe.h"
-#include "runtime/sound_light.h"
+#include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
 namespace {

@@ -12,7 +12,7 @@
 #include <string>
 
 #include "runtime/dense/bounce_matrix.h"
-#include "runtime/solver.h"
+#include "runtime/solver/solver.h"
 
 namespace ff::runtime {
 

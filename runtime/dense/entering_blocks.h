@@ -9,8 +9,8 @@
 #include <span>
 #include <vector>
 
+#include "runtime/cut/local_matrix.h"
 #include "runtime/dense/bounce_matrix.h"
-#include "runtime/local_matrix.h"
 
 namespace ff::runtime {
 

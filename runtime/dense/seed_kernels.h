@@ -1,7 +1,7 @@
 // The passes of the seed's method over its RGBA16F matrix, column-major, four halves an element. Portable and AVX2.
 #pragma once
+#include "runtime/cut/local_matrix.h"
 #include "runtime/dense/half.h"
-#include "runtime/local_matrix.h"
 
 namespace ff::runtime {
 

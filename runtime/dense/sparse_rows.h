@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "runtime/dense/entering_blocks.h"
-#include "runtime/gather_kernels.h"
-#include "runtime/worker_pool.h"
+#include "runtime/gather/gather_kernels.h"
+#include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {
 

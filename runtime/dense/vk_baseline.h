@@ -7,9 +7,9 @@
 #include <utility>
 
 #include "runtime/dense/places.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
-#include "runtime/vk_pipeline.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
+#include "runtime/vulkan/pipeline.h"
 
 namespace ff::runtime {
 

@@ -26,7 +26,7 @@
 #include "bounce_wide_comp.h"
 #include "bounce_wide_half_comp.h"
 #include "runtime/dense/cpu_multibounce.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/device.h"
 
 namespace ff::runtime {
 namespace {

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "runtime/dense/bounce_matrix.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_pipeline.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/pipeline.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {

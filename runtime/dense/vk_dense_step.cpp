@@ -11,7 +11,7 @@
 #include "bounce_residual_comp.h"
 #include "runtime/dense/bounce_probe.h"
 #include "runtime/dense/vk_bounce_steps.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/device.h"
 
 namespace ff::runtime {
 namespace {

@@ -11,7 +11,7 @@
 // The residual probe (bounce_probe.h) runs all the while: y = G x on the device, at the end of a record; what the sparse
 // rows say of it on the host, frames_in_flight records later, if no node has left until then. One is on its way at a time.
 #pragma once
-#include "runtime/gather_correction.h"
+#include "runtime/gather/gather_correction.h"
 
 namespace ff::runtime {
 

@@ -6,7 +6,7 @@
 
 #include "runtime/dense/places.h"
 #include "runtime/dense/vk_bounce_steps.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/device.h"
 
 namespace ff::runtime {
 namespace {

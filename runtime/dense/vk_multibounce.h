@@ -10,7 +10,7 @@
 #include <memory>
 
 #include "runtime/dense/bounce_matrix.h"
-#include "runtime/vk_context.h"
+#include "runtime/vulkan/context.h"
 
 namespace ff::runtime {
 

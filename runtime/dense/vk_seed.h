@@ -4,7 +4,7 @@
 
 #include "runtime/dense/bounce_matrix.h"
 #include "runtime/dense/cpu_seed.h"
-#include "runtime/vk_context.h"
+#include "runtime/vulkan/context.h"
 
 namespace ff::runtime {
 

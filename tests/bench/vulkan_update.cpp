@@ -4,10 +4,10 @@
 
 #include <algorithm>
 
+#include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/vk_multibounce.h"
 #include "runtime/dense/vk_seed.h"
-#include "runtime/matrix_assembler.h"
-#include "runtime/vk_recorder.h"
+#include "runtime/gather/vk_recorder.h"
 #include "tests/bench/truth.h"
 #include "tools/chart/walks.h"
 

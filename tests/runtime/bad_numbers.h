@@ -3,7 +3,7 @@
 #include <functional>
 #include <limits>
 
-#include "runtime/sound_light.h"
+#include "runtime/solver/sound_light.h"
 #include "tests/runtime/solver_truth.h"
 
 namespace ff::runtime {

@@ -3,11 +3,11 @@
 
 #include <cstring>
 
+#include "runtime/api/formfield.h"
+#include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"
-#include "runtime/formfield.h"
-#include "runtime/matrix_assembler.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {

@@ -1,4 +1,4 @@
-#include "runtime/converge.h"
+#include "runtime/solver/converge.h"
 
 #include <gtest/gtest.h>
 

@@ -2,10 +2,10 @@
 
 #include <cmath>
 
+#include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/bounce_probe.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
-#include "runtime/matrix_assembler.h"
 #include "tests/runtime/solver_truth.h"
 #include "tests/runtime/test_world.h"
 #include "tests/stream/counted_memory.h"

@@ -1,4 +1,4 @@
-#include "runtime/formfield.h"
+#include "runtime/api/formfield.h"
 
 #include <cmath>
 #include <fstream>

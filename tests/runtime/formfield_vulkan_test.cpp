@@ -1,11 +1,11 @@
-#include "runtime/formfield_vulkan.h"
+#include "runtime/api/formfield_vulkan.h"
 
 #include <cmath>
 #include <fstream>
 
 #include "runtime/choose_solver.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {

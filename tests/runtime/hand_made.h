@@ -1,6 +1,6 @@
 // Local matrices made by hand for tests of solvers, without a world.
 #pragma once
-#include "runtime/solver.h"
+#include "runtime/solver/solver.h"
 
 namespace ff::runtime {
 

@@ -1,6 +1,6 @@
 #include <map>
 
-#include "runtime/page_table.h"
+#include "runtime/cut/page_table.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {

@@ -1,8 +1,8 @@
-#include "runtime/matrix_assembler.h"
+#include "runtime/cut/matrix_assembler.h"
 
 #include <map>
 
-#include "runtime/solver.h"
+#include "runtime/solver/solver.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {

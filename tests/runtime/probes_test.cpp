@@ -1,4 +1,4 @@
-#include "runtime/probes.h"
+#include "runtime/probes/probes.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -7,7 +7,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "runtime/facet_scene.h"
+#include "runtime/probes/facet_scene.h"
 #include "tests/bake/analytic_scenes.h"
 #include "tests/formats/random_world.h"
 #include "tests/runtime/radiance_oracle.h"

@@ -10,8 +10,8 @@
 
 #include "bake/rays/ray_caster.h"
 #include "formats/reader.h"
+#include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
-#include "runtime/node_values.h"
 #include "runtime/updater.h"
 #include "tools/chart/sun_light.h"
 

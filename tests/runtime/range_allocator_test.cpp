@@ -1,4 +1,4 @@
-#include "runtime/range_allocator.h"
+#include "runtime/cut/range_allocator.h"
 
 #include <gtest/gtest.h>
 

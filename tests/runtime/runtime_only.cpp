@@ -1,8 +1,8 @@
 // Uses every door of the room and links ff_runtime alone: link_closure.cmake looks at what comes along.
 #include <cstdio>
 
+#include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
-#include "runtime/node_values.h"
 #include "runtime/updater.h"
 
 int main(int argc, char** argv) {

@@ -1,11 +1,11 @@
-#include "runtime/solver.h"
+#include "runtime/solver/solver.h"
 
 #include <cmath>
 
+#include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
-#include "runtime/gather_kernels.h"
-#include "runtime/node_values.h"
-#include "runtime/worker_pool.h"
+#include "runtime/gather/gather_kernels.h"
+#include "runtime/solver/worker_pool.h"
 #include "tests/runtime/bad_numbers.h"
 #include "tests/runtime/hand_made.h"
 #include "tests/runtime/test_world.h"

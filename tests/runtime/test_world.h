@@ -7,7 +7,7 @@
 #include <set>
 #include <vector>
 
-#include "runtime/local_matrix.h"
+#include "runtime/cut/local_matrix.h"
 #include "tests/stream/synthetic_world.h"
 
 namespace ff::runtime {

@@ -5,7 +5,7 @@
 #include <memory>
 #include <string>
 
-#include "runtime/vk_context.h"
+#include "runtime/vulkan/context.h"
 
 namespace ff::runtime {
 

@@ -12,7 +12,7 @@
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/vk_multibounce.h"
 #include "runtime/dense/vk_seed.h"
-#include "runtime/vk_context.h"
+#include "runtime/vulkan/context.h"
 #include "tests/runtime/validated_vulkan.h"
 #include "tools/chart/walks.h"
 

@@ -7,10 +7,10 @@
 #include <cmath>
 #include <limits>
 
-#include "runtime/fallback_solver.h"
-#include "runtime/matrix_assembler.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
+#include "runtime/cut/matrix_assembler.h"
+#include "runtime/solver/fallback_solver.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
 #include "tests/runtime/bad_numbers.h"
 #include "tests/runtime/test_world.h"
 #include "tests/runtime/validated_vulkan.h"

@@ -1,5 +1,5 @@
 // The device as engines need it: the caller's own device, a lost device, a full one; the solver behind them survives.
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/device.h"
 
 #include <gtest/gtest.h>
 
@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
-#include "runtime/fallback_solver.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_gather.h"
+#include "runtime/gather/vk_gather.h"
+#include "runtime/solver/fallback_solver.h"
+#include "runtime/vulkan/buffer.h"
 #include "tests/runtime/hand_made.h"
 
 namespace ff::runtime {

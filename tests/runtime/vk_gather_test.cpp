@@ -1,6 +1,6 @@
 // The Vulkan gather against a plain double-precision loop over the same local matrix, on random matrices. The test is
 // run once per subgroup size (see vulkan.cmake). Validation with synchronisation checks is on and must stay silent.
-#include "runtime/vk_gather.h"
+#include "runtime/gather/vk_gather.h"
 
 #include <gtest/gtest.h>
 
@@ -11,8 +11,8 @@
 #include <random>
 #include <vector>
 
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
 #include "tests/runtime/bad_numbers.h"
 #include "tests/runtime/validated_vulkan.h"
 

@@ -5,11 +5,11 @@
 #include <cmath>
 #include <string>
 
-#include "runtime/gather_layout.h"
-#include "runtime/matrix_assembler.h"
-#include "runtime/vk_buffer.h"
-#include "runtime/vk_device.h"
-#include "runtime/vk_recorder.h"
+#include "runtime/cut/matrix_assembler.h"
+#include "runtime/gather/gather_layout.h"
+#include "runtime/gather/vk_recorder.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
 #include "tests/runtime/test_world.h"
 #include "tests/runtime/validated_vulkan.h"
 

@@ -24,7 +24,7 @@ ff_vulkan_test(vk_dense_step_test vk_dense_step_test.cpp WIDTHS 128 512 LIBS ff_
 target_sources(vk_dense_step_test PRIVATE $<TARGET_OBJECTS:ff_counted_memory>)
 add_executable(formfield_vulkan_test formfield_vulkan_test.cpp)
 # formfield_vulkan.h names its neighbour as an installed header does.
-target_include_directories(formfield_vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime)
+target_include_directories(formfield_vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime/api)
 target_link_libraries(formfield_vulkan_test PRIVATE ff_options ff_formfield_vulkan ff_runtime_vulkan ff_synthetic_world Vulkan::Vulkan
   GTest::gtest_main)
 add_test(NAME formfield_vulkan_test COMMAND formfield_vulkan_test)

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "runtime/matrix_assembler.h"
+#include "runtime/cut/matrix_assembler.h"
 #include "tools/chart/walks.h"
 #include "tools/chart/world_truth.h"
 

@@ -3,7 +3,7 @@
 #include <chrono>
 #include <vector>
 
-#include "runtime/worker_pool.h"
+#include "runtime/solver/worker_pool.h"
 
 namespace ff::chart {
 

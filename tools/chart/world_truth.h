@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "runtime/node_values.h"
+#include "runtime/cut/node_values.h"
 #include "runtime/updater.h"
 
 namespace ff::chart {

@@ -16,7 +16,7 @@ ff_install(ff_formfield FormfieldTargets runtime formfield)
 target_include_directories(ff_formfield INTERFACE $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
 ff_install(ff_runtime_vulkan FormfieldVulkanTargets solvers_vulkan formfield_solvers_vulkan)
 ff_install(ff_formfield_vulkan FormfieldVulkanTargets vulkan formfield_vulkan)
-install(FILES runtime/formfield.h runtime/formfield_vulkan.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+install(FILES runtime/api/formfield.h runtime/api/formfield_vulkan.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/Formfield)
 foreach(set FormfieldTargets FormfieldVulkanTargets)

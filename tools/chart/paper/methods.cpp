@@ -8,8 +8,8 @@
 
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
-#include "runtime/solver.h"
-#include "runtime/worker_pool.h"
+#include "runtime/solver/solver.h"
+#include "runtime/solver/worker_pool.h"
 #include "tools/chart/read_bandwidth.h"
 #include "tools/chart/report.h"
 #include "tools/view_picture.h"

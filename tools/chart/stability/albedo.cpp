@@ -5,7 +5,7 @@
 #include <limits>
 #include <utility>
 
-#include "runtime/solver.h"
+#include "runtime/solver/solver.h"
 #include "tools/chart/stability/albedo_axis.h"
 #include "tools/chart/stability/parts.h"
 #include "tools/chart/stability/walk_matrix.h"

@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "bake/light/form_factor.h"
-#include "runtime/node_values.h"
-#include "runtime/solver.h"
+#include "runtime/cut/node_values.h"
+#include "runtime/solver/solver.h"
 #include "stream/streamer.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/neighbourhood.h"

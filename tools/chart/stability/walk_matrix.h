@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "runtime/local_matrix.h"
+#include "runtime/cut/local_matrix.h"
 #include "tools/chart/walks.h"
 
 namespace ff::chart {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "bake/bake.h"
-#include "runtime/node_values.h"
+#include "runtime/cut/node_values.h"
 #include "tools/chart/sweep/knobs.h"
 #include "tools/chart/truth/path_tracer.h"
 

@@ -4,10 +4,10 @@
 #include <chrono>
 #include <cmath>
 
-#include "runtime/converge.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"
+#include "runtime/solver/converge.h"
 #include "runtime/updater.h"
 #include "tools/chart/outside.h"
 

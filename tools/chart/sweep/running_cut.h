@@ -4,9 +4,9 @@
 #include <memory>
 #include <vector>
 
-#include "runtime/converge.h"
-#include "runtime/matrix_assembler.h"
-#include "runtime/solver.h"
+#include "runtime/cut/matrix_assembler.h"
+#include "runtime/solver/converge.h"
+#include "runtime/solver/solver.h"
 #include "stream/streamer.h"
 #include "tools/chart/sweep/measured_world.h"
 
@@ -30,7 +30,7 @@ class RunningCut {
   Result<void> moveTo(Vec3 observer);
   // Light for the slots; for FarLight::kConstant, the best constant there is: the mean of what is outside.
   Result<void> setLight(const LitWorld& light);
-  // Steps of the solver as Updater::converge() takes them (runtime/converge.h).
+  // Steps of the solver as Updater::converge() takes them (runtime/solver/converge.h).
   Result<runtime::Settled> settle();
   Result<void> step(int k);
   // Irradiance of patches (level-0 node numbers), 3 each: direct light and, through surfaces, the radiosity of the slot by

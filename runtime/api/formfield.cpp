@@ -1,0 +1,578 @@
+#include "runtime/api/formfield.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+#include "runtime/api/formfield_handles.h"
+#include "runtime/dense/cpu_multibounce.h"
+#include "runtime/dense/cpu_seed.h"
+
+namespace {
+
+using namespace ff;
+using namespace ff::runtime;
+
+static_assert(sizeof(Vec3) == 3 * sizeof(float) && sizeof(Vec4) == 4 * sizeof(float));
+static_assert(FORMFIELD_NO_SLOT == kNoSlot && FORMFIELD_MAX_SLOTS == kMaxSlots);
+
+struct CpuDevice final : FormfieldDevice_T {
+  Result<WorldSolver> makeSolver(const formats::World&, const SolverChoice& choice) override {
+    if (choice.kind == SolverKind::kGather) return WorldSolver{makeCpuGather(threads)};
+    MultibounceSettings dense;
+    dense.places = choice.places;
+    dense.storage = choice.storage;
+    dense.luminance = choice.luminance;
+    dense.threads = threads;
+    const bool seed = choice.kind == SolverKind::kSeed;
+    auto matrix = seed ? makeCpuSeed(dense) : makeCpuMultibounce(dense);
+    if (!matrix) return matrix.error();
+    auto solver = makeDenseSolver(std::move(*matrix), {.correct = !seed, .threads = threads});
+    const DenseStats* const known = &solver->stats();
+    return WorldSolver{std::move(solver), nullptr, known};
+  }
+  int threads = 0;
+};
+
+// What the settings say; where they leave it open, what is written beside the world, if it records where that is
+// wanted; else gather, until settle() knows the cut.
+Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const FormfieldWorldSettings& s,
+                                 const std::string& path) {
+  SolverChoice choice;
+  if (s.solver == FORMFIELD_SOLVER_AUTO) {
+    auto recommended = readRecommendation(path);
+    if (!recommended) return recommended.error();
+    if (*recommended && (!device.records() || device.records((*recommended)->kind))) return **recommended;
+    choice.iterations = 2;
+    if (device.records()) choice.why = "what can record frames into a command buffer";
+    return choice;
+  }
+  choice.kind = s.solver == FORMFIELD_SOLVER_MULTIBOUNCE ? SolverKind::kMultibounce
+                : s.solver == FORMFIELD_SOLVER_SEED      ? SolverKind::kSeed
+                                                         : SolverKind::kGather;
+  choice.iterations = choice.kind == SolverKind::kGather ? 2 : 1;
+  choice.storage = s.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
+  choice.places = s.dense_places;
+  choice.why = "as the settings say";
+  return choice;
+}
+
+// takeSettings() the other way: fills in as much of the caller's structure as it has.
+template <class Report>
+Result<void> giveReport(const Report& report, Report* out) {
+  if (!out || out->size < sizeof(uint32_t) || out->size > sizeof(Report))
+    return usageError("size", "is not that of this structure", "set it to sizeof before the call");
+  const uint32_t size = out->size;
+  std::copy_n(reinterpret_cast<const std::byte*>(&report), size, reinterpret_cast<std::byte*>(out));
+  out->size = size;
+  return {};
+}
+
+Result<void> check(const FormfieldWorldSettings& s) {
+  if (s.max_nodes == 0 || s.max_nodes > kMaxSlots) return usageError("max_nodes", "is not between 1 and 65536");
+  if (s.iterations > 1000) return usageError("iterations", "are more than 1000 a frame", "2 to 8 are usual");
+  if (s.decode_threads > 64) return usageError("decode_threads", "are more than 64", "1 is usual");
+  if (s.probes > 0 && (s.probe_rays == 0 || s.probe_rays > 65535))
+    return usageError("probe_rays", "are not between 1 and 65535", "256 is a good value");
+  if (s.solver > FORMFIELD_SOLVER_SEED) return usageError("solver", "is none that this version knows");
+  if (s.dense_places == 0 || s.dense_places > kMaxSlots)
+    return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
+  if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
+  return {};
+}
+
+stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
+  stream::StreamSettings streaming;
+  streaming.radius_m = s.radius_m;
+  streaming.growth = s.growth;
+  streaming.hysteresis = s.hysteresis;
+  streaming.memory_bytes = s.memory_bytes;
+  streaming.max_level0_nodes = s.max_patches;
+  streaming.max_nodes = s.max_nodes;
+  streaming.decode_threads = static_cast<int>(s.decode_threads);
+  return streaming;
+}
+
+constexpr float kRadiusCells = 12;  // where neither the settings nor a recommendation tell: a world may be in any unit
+
+// What the settings leave at its default is the recommendation's, where it has a say.
+void takeCut(const SolverChoice& choice, FormfieldWorldSettings& s) {
+  FormfieldWorldSettings defaults;
+  formfieldDefaultWorldSettings(&defaults);
+  const auto take = [](const auto& recommended, const auto& usual, auto& now) {
+    if (recommended && now == usual) now = *recommended;
+  };
+  take(choice.radius_m, defaults.radius_m, s.radius_m);
+  take(choice.growth, defaults.growth, s.growth);
+  take(choice.max_patches, defaults.max_patches, s.max_patches);
+}
+
+bool isFinite(Vec3 v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
+Vec3 vectorOf(const float* v) { return {v[0], v[1], v[2]}; }
+std::span<const Vec3> vectors(const float* v, uint32_t count) { return {reinterpret_cast<const Vec3*>(v), count}; }
+
+template <class Call>
+FormfieldResult inWorld(FormfieldWorld world, Call&& call) noexcept {
+  if (!world) {
+    return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
+  }
+  return guarded(world->device.error, [&] { return call(*world); });
+}
+
+}  // namespace
+
+std::string& ff::runtime::errorOfThisThread() {
+  thread_local std::string line;
+  return line;
+}
+
+FormfieldResult ff::runtime::resultOf(const Error& error) {
+  if (error.cause == ErrorCause::kOutOfDeviceMemory) return FORMFIELD_ERROR_OUT_OF_MEMORY;
+  switch (error.code) {
+    case ErrorCode::kUsage:
+      return FORMFIELD_ERROR_USAGE;
+    case ErrorCode::kIo:
+      return FORMFIELD_ERROR_IO;
+    case ErrorCode::kInvalidFile:
+      return FORMFIELD_ERROR_INVALID_FILE;
+    case ErrorCode::kPhysics:
+      return FORMFIELD_ERROR_PHYSICS;
+  }
+  return FORMFIELD_ERROR_IO;
+}
+
+FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<formats::World> opened,
+                                   const FormfieldWorldSettings& with, std::unique_ptr<stream::Streamer> strips,
+                                   const SolverChoice& chosen, WorldSolver made)
+    : device(on),
+      world(std::move(opened)),
+      settings(with),
+      streamer(std::move(strips)),
+      choice(chosen),
+      solver(std::move(made)),
+      updater(*world, *streamer, current),
+      slots(*world) {
+  updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
+  if (settings.probes > 0) {
+    ProbeSettings probe_settings;
+    probe_settings.rays = settings.probe_rays;
+    probe_settings.most_kept = settings.probes;
+    probe_settings.facet_bytes = settings.probe_memory_bytes;
+    probes.emplace(*world, slots, probe_settings);
+  }
+  tiles.reserve(kMaxSlots);
+  probe_tiles.reserve(kMaxSlots);
+  radiosity.reserve(kMaxSlots);
+}
+
+void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
+  if (!direct_light) return;
+  const auto& active = updater.matrix().tiles;
+  const auto at = std::lower_bound(active.begin(), active.end(), id,
+                                   [](const SlotRange& range, formats::TileId of) { return range.id < of; });
+  const auto& strip = updater.assembler().strip(static_cast<size_t>(at - active.begin()));
+  for (size_t i = 0; i < strip.nodes.size(); ++i) {
+    const formats::Node& n = strip.nodes[i];
+    nodes[i] = {{n.centroid.x, n.centroid.y, n.centroid.z},
+                {n.normal.x, n.normal.y, n.normal.z},
+                n.area_m2,
+                {n.albedo.x, n.albedo.y, n.albedo.z}};
+  }
+  direct_light(direct_light_user, id.level, id.tile, strip.first_node, static_cast<uint32_t>(strip.nodes.size()),
+               nodes.data(), &out.front().x);
+}
+
+Result<void> FormfieldWorld_T::frame(Vec3 at, Vec3 moving) {
+  if (auto stepped = step(at, moving); !stepped) return stepped;
+  return readRadiosity();
+}
+
+Result<void> FormfieldWorld_T::step(Vec3 at, Vec3 moving) {
+  if (!isFinite(at) || !isFinite(moving)) return usageError("observer", "or its velocity is not finite");
+  observer = at;
+  velocity = moving;
+  const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
+  const auto stats = updater.frame(at, moving, iterations);
+  if (!stats) return stats.error();
+  followCut(*stats);
+  return {};
+}
+
+void FormfieldWorld_T::followCut(const FrameStats& stats) {
+  frame_stats = stats;
+  light_zeroed += stats.light_zeroed;
+  if (!stats.matrix_changed) return;
+  ++change;
+  const LocalMatrix& matrix = updater.matrix();
+  slots.follow(matrix.tiles);
+  tiles.clear();
+  for (const SlotRange& range : matrix.tiles)
+    tiles.push_back({range.id.level, range.id.tile, range.first_slot, range.first_node, range.nodes});
+}
+
+Result<void> FormfieldWorld_T::readRadiosity() {
+  radiosity.resize(updater.matrix().slots());
+  if (auto read = updater.reflected(radiosity); !read) return read;
+  residual = residual_probe.look(updater.matrix(), updater.source(), radiosity);
+  updater.addEmission(radiosity);
+  return {};
+}
+
+Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) {
+  if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
+  if (!(tolerance > 0) || max_iterations > 1000000) return usageError("tolerance", "is not positive, or too many iterations");
+  if (auto loaded = streamer->settle(); !loaded) return loaded;
+  const auto stats = updater.frame(observer, velocity, 1);
+  if (!stats) return stats.error();
+  followCut(*stats);
+  if (auto chosen = chooseByMatrix(); !chosen) return chosen;
+  const auto converged = updater.converge(tolerance, static_cast<int>(max_iterations));
+  if (!converged) return converged.error();
+  settled = *converged;
+  if (auto read = readRadiosity(); !read) return read;
+  if (!probes) return {};
+  if (auto followed_now = sample({}, {}, {}); !followed_now) return followed_now;
+  probes->settle();
+  return {};
+}
+
+// The first time that nothing but the matrix can say which solver suits it.
+Result<void> FormfieldWorld_T::chooseByMatrix() {
+  if (settings.solver != FORMFIELD_SOLVER_AUTO || !choice.why.empty()) return {};
+  SolverChoice better = chooseSolver(updater.matrix());
+  const auto leaves = static_cast<uint32_t>(updater.matrix().leaves.size());
+  better.places = std::min(settings.dense_places, leaves + leaves / 4);
+  better.storage = settings.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
+  if (better.kind == SolverKind::kGather) better.iterations = choice.iterations;
+  if (better.kind != choice.kind) {
+    auto made = device.makeSolver(*world, better);
+    if (!made) return made.error();
+    radiosity.resize(updater.matrix().slots());
+    if (auto read = updater.reflected(radiosity); !read) return read;
+    if (auto set = made->solver->update(updater.matrix(), {}); !set) return set;
+    if (auto set = made->solver->setRadiosity(radiosity); !set) return set;
+    if (auto set = made->solver->setSource(updater.source()); !set) return set;
+    repaired_before += solver.solver->repaired();
+    solver = std::move(*made);
+  }
+  choice = better;
+  return {};
+}
+
+Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<Vec3> out) {
+  if (!probes) return usageError("probes", "the world was opened without", "set FormfieldWorldSettings::probes");
+  if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
+  const LocalMatrix& matrix = updater.matrix();
+  if (change != followed) {
+    followed = change;
+    probe_tiles.clear();
+    for (size_t t = 0; t < matrix.tiles.size(); ++t)
+      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.assembler().strip(t).nodes});
+  }
+  probes->follow(observer, probe_tiles, matrix.leaf, change);
+  probes->sample(points, normals, radiosity, sky, out);
+  return {};
+}
+
+extern "C" {
+
+uint32_t formfieldVersion(void) { return FF_VERSION_NUMBER; }
+const char* formfieldVersionText(void) { return FF_VERSION_TEXT; }
+
+const char* formfieldError(FormfieldDevice device) {
+  return device ? device->error.c_str() : errorOfThisThread().c_str();
+}
+
+FormfieldResult formfieldCreateCpuDevice(int32_t threads, FormfieldDevice* device) {
+  return guarded(errorOfThisThread(), [&]() -> Result<void> {
+    if (!device) return usageError("device", "is NULL");
+    *device = nullptr;
+    if (threads < 0 || threads > 1024) return usageError("threads", "is not between 0 and 1024", "0 takes all cores");
+    auto made = std::make_unique<CpuDevice>();
+    made->threads = threads;
+    made->name = "cpu";
+    *device = made.release();
+    return {};
+  });
+}
+
+void formfieldDestroyDevice(FormfieldDevice device) { delete device; }
+const char* formfieldDeviceName(FormfieldDevice device) { return device ? device->name.c_str() : ""; }
+
+void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
+  if (!settings) return;
+  const stream::StreamSettings streaming;
+  *settings = {};
+  settings->size = sizeof(FormfieldWorldSettings);
+  settings->radius_m = 0;
+  settings->growth = streaming.growth;
+  settings->hysteresis = streaming.hysteresis;
+  settings->memory_bytes = streaming.memory_bytes;
+  settings->max_patches = streaming.max_level0_nodes;
+  settings->max_nodes = streaming.max_nodes;
+  settings->decode_threads = 1;
+  settings->solver = FORMFIELD_SOLVER_AUTO;
+  settings->storage = FORMFIELD_STORAGE_FLOAT16;
+  settings->dense_places = 4096;
+  settings->iterations = 0;
+  settings->probes = 256;
+  settings->probe_rays = 256;
+  settings->probe_memory_bytes = uint64_t{64} << 20;
+}
+
+FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, const FormfieldWorldSettings* settings,
+                                   FormfieldWorld* world) {
+  if (!device) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("device", "is NULL")); });
+  return guarded(device->error, [&]() -> Result<void> {
+    if (!path || !world) return usageError("path or world", "is NULL");
+    *world = nullptr;
+    FormfieldWorldSettings s;
+    formfieldDefaultWorldSettings(&s);
+    if (auto taken = takeSettings(settings, s); !taken) return taken;
+    if (auto good = check(s); !good) return good;
+    auto opened = formats::World::open(path);
+    if (!opened) return opened.error();
+    auto own = std::make_unique<formats::World>(std::move(*opened));
+    auto choice = firstChoice(*device, s, path);
+    if (!choice) return choice.error();
+    takeCut(*choice, s);
+    if (s.radius_m == 0) s.radius_m = kRadiusCells * own->info().cell_m;
+    auto streamer = stream::Streamer::create(*own, streamSettings(s));
+    if (!streamer) return streamer.error();
+    auto solver = device->makeSolver(*own, *choice);
+    if (!solver && s.solver == FORMFIELD_SOLVER_AUTO && choice->kind != SolverKind::kGather) {
+      // What was recommended on another device may exceed this one.
+      choice->kind = SolverKind::kGather;
+      choice->iterations = 2;
+      choice->why = "gather: " + solver.error().line();
+      solver = device->makeSolver(*own, *choice);
+    }
+    if (!solver) return solver.error();
+    *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,
+                                                std::move(*solver))
+                 .release();
+    return {};
+  });
+}
+
+void formfieldCloseWorld(FormfieldWorld world) { delete world; }
+
+FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* info) {
+  return inWorld(world, [&](FormfieldWorld_T& w) {
+    const formats::WorldInfo& i = w.world->info();
+    FormfieldWorldInfo report{};
+    report.patches = w.world->levels()[0].nodes;
+    report.levels = static_cast<uint32_t>(w.world->levels().size());
+    report.cell_m = i.cell_m;
+    for (int a = 0; a < 3; ++a) {
+      report.lo[a] = i.bounds.lo[a];
+      report.hi[a] = i.bounds.hi[a];
+    }
+    report.has_geometry = w.world->hasGeometry();
+    report.lamp_groups = w.updater.lamps().groups();
+    return giveReport(report, info);
+  });
+}
+
+FormfieldResult formfieldSetDirectLight(FormfieldWorld world, FormfieldDirectLight direct_light, void* user) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    w.direct_light = direct_light;
+    w.direct_light_user = user;
+    w.updater.lightChanged();
+    return {};
+  });
+}
+
+FormfieldResult formfieldLightChanged(FormfieldWorld world) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    w.updater.lightChanged();
+    return {};
+  });
+}
+
+FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t first, uint32_t count,
+                                             const float* irradiance) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (first > kMaxSlots || count > kMaxSlots - first) return usageError("slots", "reach past FORMFIELD_MAX_SLOTS");
+    if (count > 0 && !irradiance) return usageError("irradiance", "is NULL");
+    return w.updater.setDirectIrradiance(first, vectors(irradiance, count));
+  });
+}
+
+FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!sky) return usageError("sky", "is NULL");
+    Sky set;
+    set.l0 = vectorOf(sky->radiance);
+    for (int c = 0; c < 3; ++c) {
+      set.l1[c] = vectorOf(sky->gradient[c]);
+      std::copy_n(sky->quadratic[c], 5, set.l2[c].begin());
+    }
+    if (auto taken = w.updater.setSky(set); !taken) return taken;
+    w.sky = set;
+    return {};
+  });
+}
+
+FormfieldResult formfieldLampGroups(FormfieldWorld world, uint32_t first, uint32_t count, FormfieldLampGroup* groups) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    if (first > known.size() || count > known.size() - first) return usageError("lamp groups", "reach past the world's last one");
+    if (count > 0 && !groups) return usageError("groups", "is NULL");
+    for (uint32_t i = 0; i < count; ++i) {
+      const formats::LampGroup& g = known[first + i];
+      groups[i] = {g.name.c_str(), {g.emission.x, g.emission.y, g.emission.z}, static_cast<float>(g.area_m2), g.patches};
+    }
+    return {};
+  });
+}
+
+FormfieldResult formfieldFindLampGroup(FormfieldWorld world, const char* name, uint32_t* group) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!name || !group) return usageError("name or group", "is NULL");
+    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    const auto at = std::find_if(known.begin(), known.end(), [&](const formats::LampGroup& g) { return g.name == name; });
+    if (at == known.end()) return usageError(name, "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
+    *group = static_cast<uint32_t>(at - known.begin());
+    return {};
+  });
+}
+
+FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const float scale[3]) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!scale) return usageError("scale", "is NULL");
+    if (group >= w.updater.lamps().groups())
+      return usageError("group", "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
+    const Vec3 set = vectorOf(scale);
+    if (!isFinite(set)) return usageError("scale", "is not finite");
+    if (set.x < 0 || set.y < 0 || set.z < 0) return usageError("scale", "is negative", "a lamp that is off has 0");
+    return w.updater.setLamp(group, set);
+  });
+}
+
+FormfieldResult formfieldFrame(FormfieldWorld world, const float observer[3], const float velocity[3]) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!observer) return usageError("observer", "is NULL");
+    return w.frame(vectorOf(observer), velocity ? vectorOf(velocity) : Vec3{});
+  });
+}
+
+const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots) {
+  if (slots) *slots = world ? static_cast<uint32_t>(world->radiosity.size()) : 0;
+  return world && !world->radiosity.empty() ? &world->radiosity.front().x : nullptr;
+}
+
+FormfieldResult formfieldSample(FormfieldWorld world, uint32_t count, const float* points, const float* normals,
+                                float* irradiance) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (count > 0 && (!points || !normals || !irradiance)) return usageError("points, normals or irradiance", "is NULL");
+    return w.sample(vectors(points, count), vectors(normals, count), {reinterpret_cast<Vec3*>(irradiance), count});
+  });
+}
+
+FormfieldResult formfieldSettle(FormfieldWorld world, float tolerance, uint32_t max_iterations) {
+  return inWorld(world, [&](FormfieldWorld_T& w) { return w.settle(tolerance, max_iterations); });
+}
+
+const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint64_t* change) {
+  if (count) *count = world ? static_cast<uint32_t>(world->tiles.size()) : 0;
+  if (change) *change = world ? world->change : 0;
+  return world ? world->tiles.data() : nullptr;
+}
+
+FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    const uint32_t patches = w.world->levels()[0].nodes;
+    if (first > patches || count > patches - first) return usageError("patches", "reach past the world's last one");
+    if (count > 0 && !slots) return usageError("slots", "is NULL");
+    uint32_t tile = count > 0 ? w.world->tileOf(0, first) : 0;
+    for (uint32_t i = 0; i < count; ++i) {
+      const formats::TileInfo* info = &w.world->tiles(0)[tile];
+      if (first + i >= info->first_node + info->nodes) ++tile;
+      slots[i] = w.slots.slotOf({0, tile}, first + i);
+    }
+    return {};
+  });
+}
+
+FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    const SlotRange* range = w.slots.tileOf(slot);
+    if (!range) return usageError("slot", "belongs to no active tile", "see formfieldTiles");
+    if (level) *level = range->id.level;
+    if (node) *node = range->first_node + slot - range->first_slot;
+    return {};
+  });
+}
+
+FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
+  return inWorld(world, [&](FormfieldWorld_T& w) {
+    const FrameStats& f = w.frame_stats;
+    const stream::StreamStats s = w.streamer->stats();
+    FormfieldStats report{};
+    report.slots = f.slots;
+    report.leaves = f.leaves;
+    report.level0_leaves = f.level0_leaves;
+    report.entries = f.entries;
+    report.cut_changed = f.matrix_changed;
+    report.stream_ms = f.stream_ms;
+    report.matrix_ms = f.matrix_ms;
+    report.solve_ms = f.solve_ms;
+    report.strips_read = s.strips_read;
+    report.bytes_read = s.bytes_read;
+    report.strips_evicted = s.evicted;
+    report.reads_cancelled = s.cancelled;
+    report.strips_failed = s.failed;
+    report.resident_bytes = s.resident_bytes;
+    report.peak_resident_bytes = s.peak_resident_bytes;
+    report.resident_tiles = s.resident_tiles;
+    report.wanted_tiles = s.wanted_tiles;
+    report.pending_tiles = s.pending_tiles;
+    report.fallbacks = w.solver.fellBack();
+    if (w.solver.dense && !w.solver.fellBack()) {
+      const DenseStats& d = *w.solver.dense;
+      report.dense_nodes = d.on_places;
+      report.dense_waiting = d.waiting;
+      report.dense_refused = d.refused;
+      report.dense_rebuilds = d.rebuilds;
+      report.dense_probe = d.probe;
+    }
+    report.residual = w.residual;
+    if (w.probes) {
+      const ProbeStats p = w.probes->stats();
+      report.probes_traced = p.traced;
+      report.probes_remembered = p.kept;
+      report.probe_tiles = p.facet_tiles;
+      report.samples_refused = p.refused;
+    }
+    report.light_zeroed = w.light_zeroed;
+    report.light_repaired = w.repaired_before + w.solver.solver->repaired();
+    report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
+    report.settled = w.settled.settled;
+    report.settle_change = w.settled.change;
+    return giveReport(report, stats);
+  });
+}
+
+const char* formfieldSolverName(FormfieldWorld world) { return world ? world->solver.solver->name() : ""; }
+
+const char* formfieldFallbackReason(FormfieldWorld world) {
+  return world && world->solver.fallback_reason ? world->solver.fallback_reason->c_str() : "";
+}
+
+const char* formfieldSolverReason(FormfieldWorld world) { return world ? world->choice.why.c_str() : ""; }
+
+const char* formfieldLightFault(FormfieldWorld world) { return world ? world->updater.lightFault().c_str() : ""; }
+
+const char* formfieldStreamFailure(FormfieldWorld world) {
+  if (!world) return "";
+  (void)guarded(world->device.error, [&]() -> Result<void> {
+    world->stream_failure = world->streamer->lastFailure();
+    if (world->stream_failure.empty() && world->probes && world->probes->stats().starved)
+      world->stream_failure = "out of memory or threads for the triangles that probes meet; close other programs, or lower probe_memory_bytes";
+    return {};
+  });
+  return world->stream_failure.c_str();
+}
+
+}  // extern "C"

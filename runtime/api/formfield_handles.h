@@ -1,0 +1,157 @@
+// What is behind the handles of formfield.h. Internal: formfield.cpp and formfield_vulkan.cpp.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <memory>
+#include <new>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "runtime/api/formfield.h"
+#include "runtime/choose_solver.h"
+#include "runtime/cut/slot_map.h"
+#include "runtime/dense/dense_solver.h"
+#include "runtime/probes/probes.h"
+#include "runtime/solver/residual_probe.h"
+#include "runtime/updater.h"
+
+namespace ff::runtime {
+
+// A solver that can write its steps into somebody else's command buffer.
+class Recording {
+ public:
+  virtual ~Recording() = default;
+  virtual Result<void> record(int iterations) = 0;
+};
+
+// The solver of a world, and what there is to know of it.
+struct WorldSolver {
+  std::unique_ptr<Solver> solver;
+  const std::string* fallback_reason = nullptr;  // the solver's; null: there is nothing to fall back from
+  const DenseStats* dense = nullptr;             // of the solver, or of the one that it may fall back from
+  std::unique_ptr<Recording> recording{};        // null: the solver cannot; not to be used after it fell back
+  std::unique_ptr<std::string> own_reason{};     // where the device failed before it had begun
+  bool fellBack() const { return fallback_reason && !fallback_reason->empty(); }
+};
+
+}  // namespace ff::runtime
+
+struct FormfieldDevice_T {
+  virtual ~FormfieldDevice_T() = default;
+  virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
+                                                          const ff::runtime::SolverChoice& choice) = 0;
+  // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
+  bool records() const { return records(ff::runtime::SolverKind::kGather); }
+  virtual bool records(ff::runtime::SolverKind) const { return false; }
+  std::string name, error;
+};
+
+struct FormfieldWorld_T {
+  FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<ff::formats::World> opened,
+                   const FormfieldWorldSettings& with, std::unique_ptr<ff::stream::Streamer> strips,
+                   const ff::runtime::SolverChoice& choice, ff::runtime::WorldSolver made);
+  FormfieldWorld_T(const FormfieldWorld_T&) = delete;
+  FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
+
+  // The frame but for reading its light back.
+  ff::Result<void> step(ff::Vec3 observer, ff::Vec3 velocity);
+  ff::Result<void> frame(ff::Vec3 observer, ff::Vec3 velocity);
+  ff::Result<void> settle(float tolerance, uint32_t max_iterations);
+  ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
+  void askDirectLight(ff::formats::TileId id, std::span<ff::Vec3> out);
+  void followCut(const ff::runtime::FrameStats& stats);
+  ff::Result<void> chooseByMatrix();
+  ff::Result<void> readRadiosity();
+
+  FormfieldDevice_T& device;
+  const std::unique_ptr<ff::formats::World> world;
+  const FormfieldWorldSettings settings;
+  const std::unique_ptr<ff::stream::Streamer> streamer;
+  ff::runtime::SolverChoice choice;
+  ff::runtime::WorldSolver solver;
+  // Between the updater and whatever solver is in use.
+  struct Current final : ff::runtime::Solver {
+    explicit Current(const FormfieldWorld_T& w) : world(w) {}
+    Solver& now() const { return *world.solver.solver; }
+    ff::Result<void> update(const ff::runtime::LocalMatrix& m, const ff::runtime::MatrixChange& c) override {
+      return now().update(m, c);
+    }
+    ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
+    ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override { return now().setRadiosity(b); }
+    ff::Result<void> iterate(int k) override {
+      const bool records = world.recording && !world.solver.fellBack();  // which update() may just have done
+      return records ? world.solver.recording->record(k) : now().iterate(k);
+    }
+    ff::Result<void> approach(int k) override { return now().approach(k); }
+    uint64_t repaired() const override { return now().repaired(); }
+    ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
+    double lastMs() const override { return now().lastMs(); }
+    const char* name() const override { return now().name(); }
+    const FormfieldWorld_T& world;
+  } current{*this};
+  bool recording = false;  // iterate() records
+  ff::runtime::Updater updater;
+  ff::runtime::SlotMap slots;
+  std::optional<ff::runtime::Probes> probes;
+  ff::runtime::ResidualProbe residual_probe;
+  ff::runtime::Sky sky;
+  FormfieldDirectLight direct_light = nullptr;
+  void* direct_light_user = nullptr;
+
+  // Of the last frame.
+  ff::Vec3 observer, velocity;
+  ff::runtime::FrameStats frame_stats;
+  ff::runtime::Settled settled;  // by the last settle()
+  uint64_t light_zeroed = 0;     // since the start
+  uint64_t repaired_before = 0;  // by solvers that are no longer in use
+  double residual = -1;
+  uint64_t change = 0, followed = ~uint64_t{0};  // the cut: its number, and the one that the probes know
+  std::vector<FormfieldTile> tiles;
+  std::vector<ff::runtime::ProbeTile> probe_tiles;
+  std::vector<ff::runtime::Vec4> radiosity;
+  std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
+  std::string stream_failure;
+};
+
+namespace ff::runtime {
+
+// Where the line of an error goes when there is no device yet: this thread's.
+std::string& errorOfThisThread();
+
+FormfieldResult resultOf(const Error& error);
+
+// Runs a call behind the C interface: what goes wrong becomes a code and a line.
+template <class Call>
+FormfieldResult guarded(std::string& line, Call&& call) noexcept {
+  try {
+    const Result<void> done = call();
+    if (done) return FORMFIELD_OK;
+    line = done.error().line();
+    return resultOf(done.error());
+  } catch (const std::bad_alloc&) {
+    line = "out of memory";  // short enough to need none
+    return FORMFIELD_ERROR_OUT_OF_MEMORY;
+  } catch (...) {
+    line = "internal error";
+    return FORMFIELD_ERROR_IO;
+  }
+}
+
+inline Error usageError(const char* place, const char* message, const char* remedy = "") {
+  return {ErrorCode::kUsage, "", place, message, remedy};
+}
+
+// Copies as many bytes as both sides know; what the caller's structure does not have keeps its default.
+template <class Settings>
+Result<void> takeSettings(const Settings* given, Settings& out) {
+  if (!given) return {};
+  if (given->size < sizeof(uint32_t) || given->size > sizeof(Settings))
+    return usageError("size", "is not that of this structure", "set it to sizeof, or use the function for the defaults");
+  const uint32_t size = sizeof(Settings);
+  std::copy_n(reinterpret_cast<const std::byte*>(given), given->size, reinterpret_cast<std::byte*>(&out));
+  out.size = size;
+  return {};
+}
+
+}  // namespace ff::runtime

@@ -1,0 +1,240 @@
+#include "runtime/api/formfield_vulkan.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "runtime/api/formfield_handles.h"
+#include "runtime/dense/vk_seed.h"
+#include "runtime/gather/vk_recorder.h"
+#include "runtime/solver/fallback_solver.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
+
+namespace {
+
+using namespace ff;
+using namespace ff::runtime;
+
+// One world's frames in the caller's command buffers, and their light on its way back.
+class VulkanRecording final : public Recording {
+ public:
+  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames) {
+    auto buffer = Buffer::create(context, uint64_t{frames} * kMaxSlots * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+                                 MemoryUse::kHost);
+    if (!buffer) return buffer.error();
+    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames));
+  }
+
+  Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, Vec3 observer, Vec3 velocity) {
+    const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
+    commands_ = commands;
+    updater_ = &world.updater;
+    world.recording = true;
+    auto stepped = world.step(observer, velocity);
+    world.recording = false;
+    if (!stepped) return stepped;
+    if (world.solver.fellBack()) return world.readRadiosity();
+    const LocalMatrix& matrix = world.updater.matrix();
+    if (world.frame_stats.matrix_changed)
+      for (const uint32_t t : world.updater.change().entered)
+        entered_[matrix.tiles[t].first_slot] = records_;
+    readBack(world, arrived);
+    recordReadBack(matrix.slots());
+    world.residual = recorder_.residual();
+    ++records_;
+    return {};
+  }
+
+  Result<void> record(int iterations) override {
+    if (updater_->emissionChange() != emission_) {
+      if (auto set = recorder_.setEmission(updater_->emission()); !set) return set;
+      emission_ = updater_->emissionChange();
+    }
+    return recorder_.record(commands_, iterations);
+  }
+  const VulkanRecorder& recorder() const { return recorder_; }
+
+ private:
+  struct Region {
+    uint64_t record = 0;
+    uint32_t slots = 0;  // 0: nothing was recorded there
+  };
+  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
+      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {
+    reflected_.reserve(kMaxSlots);
+  }
+
+  uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
+
+  // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now.
+  void readBack(FormfieldWorld_T& world, const Region& arrived) {
+    const LocalMatrix& matrix = world.updater.matrix();
+    reflected_.resize(matrix.slots());
+    if (arrived.slots > 0)
+      std::memcpy(reflected_.data(), buffer_.mapped() + offset(),
+                  std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
+    for (size_t t = matrix.tiles.size(); t-- > 0;) {  // parents first
+      const SlotRange& range = matrix.tiles[t];
+      if (arrived.slots > 0 && entered_[range.first_slot] <= arrived.record) continue;
+      if (arrived.slots == 0 && entered_[range.first_slot] != records_) continue;
+      for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot)
+        reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
+    }
+    world.radiosity.assign(reflected_.begin(), reflected_.end());
+    world.updater.addEmission(world.radiosity);
+  }
+
+  void recordReadBack(uint32_t slots) {
+    const VkBufferCopy copy{0, offset(), slots * sizeof(Vec4)};
+    vkCmdCopyBuffer(commands_, recorder_.reflectedBuffer(), buffer_.handle(), 1, &copy);
+    auto done = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
+    done.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
+    done.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
+    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &done, 0, nullptr, 0,
+                         nullptr);
+    regions_[records_ % regions_.size()] = {records_, slots};
+  }
+
+  VulkanRecorder& recorder_;
+  Buffer buffer_;
+  std::vector<Region> regions_;
+  std::vector<Vec4> reflected_;    // by slot, as far as it has come back
+  std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
+  uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
+  VkCommandBuffer commands_ = VK_NULL_HANDLE;
+  const Updater* updater_ = nullptr;
+};
+
+// Null where the world's solver cannot record.
+VulkanRecording* recordingOf(FormfieldWorld world) {
+  return world && !world->solver.fellBack() ? dynamic_cast<VulkanRecording*>(world->solver.recording.get()) : nullptr;
+}
+
+struct VulkanDevice final : FormfieldDevice_T {
+  Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice) override {
+    MultibounceSettings dense;
+    dense.places = choice.places;
+    dense.storage = choice.storage;
+    dense.luminance = choice.luminance;
+    if (records(choice.kind)) {
+      VulkanGatherSettings room = gatherRoomFor(world);
+      room.frames_in_flight = frames_in_flight;
+      auto recorder = choice.kind == SolverKind::kGather ? makeVulkanRecorder(context, room)
+                                                         : makeVulkanDenseRecorder(context, room, dense);
+      if (!recorder) return withoutDevice(recorder.error());
+      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight);
+      if (!recording) return withoutDevice(recording.error());
+      const DenseStats* const known = (*recorder)->dense();
+      auto solver = withFallback(std::move(*recorder), known);
+      solver.recording = std::move(*recording);
+      return solver;
+    }
+    auto matrix = makeVulkanSeed(context, dense);
+    if (!matrix) return withoutDevice(matrix.error());
+    auto solver = makeDenseSolver(std::move(*matrix), {.correct = false});
+    const DenseStats* const known = &solver->stats();
+    return withFallback(std::move(solver), known);
+  }
+  bool records(SolverKind kind) const override { return kind != SolverKind::kSeed; }
+  // A device that is lost or full from the start is no worse than one that gets there.
+  static Result<WorldSolver> withoutDevice(const Error& error) {
+    if (error.cause == ErrorCause::kOther) return error;
+    auto reason = std::make_unique<std::string>(error.line());
+    const std::string* const known = reason.get();
+    return WorldSolver{makeCpuGather(), known, nullptr, nullptr, std::move(reason)};
+  }
+  static WorldSolver withFallback(std::unique_ptr<Solver> first, const DenseStats* dense) {
+    auto solver = makeFallbackSolver(std::move(first), makeCpuGather());
+    const std::string* const reason = &solver->reason();
+    return {std::move(solver), reason, dense, nullptr, nullptr};
+  }
+  std::shared_ptr<VkContext> context;
+  uint32_t frames_in_flight = 2;
+  std::string last_message;
+};
+
+Result<std::shared_ptr<VkContext>> contextOf(const FormfieldVulkanSettings& s) {
+  const int given = (s.instance != VK_NULL_HANDLE) + (s.physical_device != VK_NULL_HANDLE) +
+                    (s.device != VK_NULL_HANDLE) + (s.queue != VK_NULL_HANDLE);
+  if (given == 4)
+    return VkContext::adopt(s.instance, s.physical_device, s.device, s.queue_family, s.queue, s.memory_bytes);
+  if (given != 0)
+    return usageError("device", "instance, physical_device, device and queue go together", "give all four, or none");
+  VulkanChoice choice;
+  if (s.device_name) choice.device = s.device_name;
+  choice.validate = s.validate != 0;
+  choice.memory_bytes = s.memory_bytes;
+  return openVulkan(choice);
+}
+
+}  // namespace
+
+extern "C" {
+
+FormfieldResult formfieldCreateVulkanDevice(const FormfieldVulkanSettings* settings, FormfieldDevice* device) {
+  return guarded(errorOfThisThread(), [&]() -> Result<void> {
+    if (!device) return usageError("device", "is NULL");
+    *device = nullptr;
+    FormfieldVulkanSettings s{};
+    if (auto taken = takeSettings(settings, s); !taken) return taken;
+    if (s.frames_in_flight > 16) return usageError("frames_in_flight", "are more than 16", "2 or 3 are usual");
+    auto context = contextOf(s);
+    if (!context) return context.error();
+    auto made = std::make_unique<VulkanDevice>();
+    made->context = std::move(*context);
+    if (s.frames_in_flight > 0) made->frames_in_flight = s.frames_in_flight;
+    made->name = "vulkan: " + deviceName(*made->context);
+    *device = made.release();
+    return {};
+  });
+}
+
+uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last) {
+  if (last) *last = "";
+  auto* const vulkan = dynamic_cast<VulkanDevice*>(device);
+  if (!vulkan) return 0;
+  uint32_t count = 0;
+  (void)guarded(vulkan->error, [&]() -> Result<void> {
+    const auto messages = validationMessages(*vulkan->context);
+    count = static_cast<uint32_t>(messages.size());
+    vulkan->last_message = messages.empty() ? "" : messages.back();
+    return {};
+  });
+  if (last) *last = vulkan->last_message.c_str();
+  return count;
+}
+
+FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
+                                const float velocity[3]) {
+  if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
+  const auto unsupported = [&] {
+    (void)guarded(world->device.error, [&]() -> Result<void> {
+      return usageError("formfieldRecord",
+                        world->solver.fellBack()                  ? "the CPU has taken over"
+                        : world->choice.kind == SolverKind::kSeed ? "seed is a baseline and does not record"
+                                                                  : "this device does not record",
+                        "call formfieldFrame");
+    });
+    return FORMFIELD_ERROR_UNSUPPORTED;
+  };
+  VulkanRecording* const recording = recordingOf(world);
+  if (!recording) return unsupported();
+  const FormfieldResult result = guarded(world->device.error, [&]() -> Result<void> {
+    if (!commands || !observer) return usageError("commands or observer", "is NULL");
+    return recording->frame(*world, commands, {observer[0], observer[1], observer[2]},
+                            velocity ? Vec3{velocity[0], velocity[1], velocity[2]} : Vec3{});
+  });
+  return result == FORMFIELD_OK && world->solver.fellBack() ? unsupported() : result;
+}
+
+VkBuffer formfieldRadiosityBuffer(FormfieldWorld world) {
+  VulkanRecording* const recording = recordingOf(world);
+  return recording ? recording->recorder().radiosityBuffer() : VK_NULL_HANDLE;
+}
+
+VkBuffer formfieldSourceBuffer(FormfieldWorld world) {
+  VulkanRecording* const recording = recordingOf(world);
+  return recording ? recording->recorder().sourceBuffer() : VK_NULL_HANDLE;
+}
+
+}  // extern "C"

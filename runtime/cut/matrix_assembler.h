@@ -1,0 +1,84 @@
+// Keeps a local matrix up to date as tiles enter and leave the cut. A tile that enters or leaves costs its own rows and
+// those of the active tiles that have columns where slots changed; no other row is touched. Within the capacity taken
+// at the start an update allocates nothing.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "runtime/cut/local_matrix.h"
+#include "runtime/cut/page_table.h"
+#include "runtime/cut/range_allocator.h"
+
+namespace ff::runtime {
+
+class MatrixAssembler {
+ public:
+  // The world must outlive the assembler.
+  explicit MatrixAssembler(const formats::World& world, FarLight far_light = FarLight::kPyramid);
+  MatrixAssembler(const MatrixAssembler&) = delete;
+  MatrixAssembler& operator=(const MatrixAssembler&) = delete;
+
+  // Brings the matrix to the cut `active` (sorted, as Streamer::active()) and holds its strips. The same cut again
+  // changes nothing. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile or the
+  // ancestors of an active tile are missing).
+  Result<void> update(std::span<const stream::StripPtr> active);
+
+  const LocalMatrix& matrix() const { return matrix_; }
+  const MatrixChange& change() const { return change_; }  // of the last update
+  // By number in LocalMatrix::tiles.
+  const stream::ResidentStrip& strip(size_t tile) const { return *tiles_[tile].strip; }
+
+  // The matrix alone, without what only the assembler keeps alive.
+  LocalMatrix take() && {
+    matrix_.packed.clear();
+    matrix_.pages = nullptr;
+    return std::move(matrix_);
+  }
+
+ private:
+  struct Tile {
+    SlotRange range;
+    stream::StripPtr strip;
+    uint64_t first_entry = 0, room = 0;  // in LocalMatrix::entries
+    uint64_t first_partner = 0, first_run = 0;  // in partner_pages_ and run_entries_
+    bool entered = false, placed = false;
+  };
+  std::span<uint32_t> partnerPages(const Tile& tile) {
+    return std::span(partner_pages_).subspan(tile.first_partner, tile.strip->partners.size());
+  }
+  Result<void> check(std::span<const stream::StripPtr> active) const;
+  void diff(std::span<const stream::StripPtr> active);
+  void drop(Tile& tile);
+  bool place(Tile& tile);
+  bool reserveRanges(Tile& tile);
+  void releaseRanges(Tile& tile);
+  void renumber();
+  void link(const Tile& tile);
+  void makeLeaf(uint32_t slot);
+  uint32_t resolveRuns(const Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out);
+  void resolveRow(Tile& tile, uint32_t row);
+  void updateRow(Tile& tile, uint32_t row);
+  void pad(uint32_t slot);
+  void resolveRows();
+  void listLeavesAndRefined();
+
+  const formats::World& world_;
+  FarLight far_light_;
+  LocalMatrix matrix_;
+  MatrixChange change_;
+  PageTable pages_;
+  RangeAllocator slots_, entries_, partners_, runs_;
+  std::vector<Tile> tiles_, next_tiles_;
+  std::vector<uint32_t> partner_pages_;  // of a tile: by index in strip->partners
+  std::vector<uint16_t> run_entries_;    // of a tile: by run, entries that it takes in its row
+  std::vector<uint32_t> new_leaves_;  // slots
+  struct Column {                     // of a partner tile, for the tile being resolved
+    const uint16_t* page;
+    bool changed;
+  };
+  std::vector<Column> columns_;
+  std::vector<uint32_t> scratch_;
+};
+
+}  // namespace ff::runtime

@@ -1,0 +1,66 @@
+// From a column (level, tile, index) to the slot that stands for it in the cut: the node itself where its tile is
+// active, else its nearest active ancestor. As in virtual texturing, strips keep their own numbers and only this table
+// follows the cut. A page is the 256 slots of one tile's columns; pages exist for the tiles that someone holds, keep
+// their numbers while held, and are filled anew only where the cut changed.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "runtime/cut/local_matrix.h"
+
+namespace ff::runtime {
+
+class PageTable {
+ public:
+  using Page = std::array<uint16_t, formats::kTileNodes>;
+
+  // outside: the slot of everything in inactive tiles; kNoSlot: the nearest active ancestor.
+  // Takes 8 bytes a tile of the world.
+  explicit PageTable(const formats::World& world, uint32_t outside = kNoSlot);
+
+  // The number of a tile's page, for as long as it is held; each hold is given back by release().
+  uint32_t hold(formats::TileId id);
+  void release(uint32_t page);
+  // The tile's nodes have slots first_slot, first_slot + 1, ... from now on; kNoSlot: none.
+  void setActive(formats::TileId id, uint32_t first_slot);
+  // Fills the pages that are new or whose slots the calls of setActive() changed. Their numbers, each once; valid until
+  // the next call.
+  std::span<const uint32_t> refresh();
+
+  const Page& page(uint32_t number) const { return pages_[number]; }
+  std::span<const Page> pages() const { return pages_; }
+  // First slot of the page's tile if that is active (the page then counts up from it), else kNoSlot.
+  uint32_t firstSlot(uint32_t number) const { return activeSlot(infos_[number].id); }
+  bool changed(uint32_t number) const { return infos_[number].refreshed == round_; }
+  uint32_t activeSlot(formats::TileId id) const { return slot_of_[id.level][id.tile]; }
+  // Whether some node of the pages filled last has no active ancestor (its slot reads 0).
+  bool incomplete() const { return incomplete_; }
+
+ private:
+  static constexpr uint32_t kNoPage = 0xffffffffu;
+  struct Info {
+    formats::TileId id;
+    uint32_t holds = 0;
+    uint32_t refreshed = 0;  // round
+    bool stale = false;
+  };
+  struct Toggled {  // tiles, by level, whose slots a tile's toggling may have changed: its descendants
+    uint32_t level;
+    std::array<std::pair<uint32_t, uint32_t>, formats::kMaxLevels> tiles;  // first, last + 1
+  };
+  void fill(formats::TileId id, Page& page);
+
+  const formats::World& world_;
+  uint32_t outside_ = kNoSlot;
+  bool incomplete_ = false;
+  uint32_t round_ = 0;
+  std::vector<std::vector<uint32_t>> slot_of_, page_of_;  // [level][tile]
+  std::vector<Page> pages_;
+  std::vector<Info> infos_;
+  std::vector<uint32_t> free_, changed_;
+  std::vector<Toggled> toggled_;
+};
+
+}  // namespace ff::runtime

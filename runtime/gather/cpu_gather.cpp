@@ -1,0 +1,223 @@
+// Jacobi iterations on the CPU. Nothing is allocated or locked after the start. Every row is summed by one
+// thread in the order of its entries, so the result does not depend on the number of threads.
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "runtime/gather/gather_kernels.h"
+#include "runtime/gather/semi_iteration.h"
+#include "runtime/solver/solver.h"
+#include "runtime/solver/sound_light.h"
+#include "runtime/solver/worker_pool.h"
+
+namespace ff::runtime {
+namespace {
+
+constexpr uint32_t kPartRefined = 2048;   // likewise, of refined slots; a single part is done without a meeting
+constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
+
+class CpuGather final : public Solver {
+ public:
+  explicit CpuGather(int threads) : pool_(threads) {
+    if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
+    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
+    child_weight_.reserve(kMaxSlots);
+    parts_.reserve(kMaxSlots + 1);
+  }
+
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
+    const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
+    // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
+    for (auto* per_slot : {&from_, &to_, &before_}) {
+      if (all)
+        per_slot->clear();
+      else
+        for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
+    }
+    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
+    child_weight_.resize(matrix.slots());
+    if (all) {
+      for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
+    } else {
+      for (const uint32_t t : change.entered) {  // parents first
+        const SlotRange& range = matrix.tiles[t];
+        for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+          const uint32_t parent = matrix.parent_slot[s];
+          from_[s] = parent != kNoSlot ? from_[parent] : Vec4{};
+          reflectance_[s] = reflectance(s);
+        }
+      }
+    }
+    divideRows();
+    weighChildren();
+    pace_.forget();
+    return {};
+  }
+
+  Result<void> setSource(std::span<const Vec4> source) override {
+    FF_CHECK_EQ(source.size(), source_.size());
+    repaired_ += copySound(source, source_);
+    pace_.forget();
+    return {};
+  }
+
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
+    FF_CHECK_EQ(radiosity.size(), from_.size());
+    repaired_ += copySound(radiosity, from_);
+    pace_.forget();
+    return {};
+  }
+
+  Result<void> iterate(int k) override {
+    FF_CHECK_EQ(matrix_ != nullptr, true);
+    const auto start = std::chrono::steady_clock::now();
+    for (int i = 0; i < k; ++i) step();
+    last_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    return {};
+  }
+
+  Result<void> approach(int k) override {
+    FF_CHECK_EQ(matrix_ != nullptr, true);
+    if (!pace_.suits(k)) return iterate(k);
+    const auto start = std::chrono::steady_clock::now();
+    step();
+    const double first = lastChange();
+    step();
+    pace_.learn(first, lastChange());
+    for (int i = 2; i < k; ++i) {
+      const float omega = pace_.omega();
+      if (omega != 1) before_.swap(to_);  // `to_` held the values of a step ago
+      step(omega);
+    }
+    last_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    return {};
+  }
+
+  Result<void> radiosity(std::span<Vec4> out) override {
+    FF_CHECK_EQ(out.size(), from_.size());
+    std::copy(from_.begin(), from_.end(), out.begin());
+    return {};
+  }
+
+  uint64_t repaired() const override { return repaired_; }
+  double lastMs() const override { return last_ms_; }
+  const char* name() const override { return "cpu"; }
+
+ private:
+  // from_ <- M + albedo F from_; with omega, the step goes on from before_ and omega times as far.
+  void step(float omega = 1) {
+    const GatherJob job{matrix_->row_start.data(),
+                        matrix_->row_entries.data(),
+                        matrix_->entries.data(),
+                        matrix_->leaves.data(),
+                        reflectance_.data(),
+                        source_.data(),
+                        from_.data(),
+                        to_.data()};
+    std::atomic<uint32_t> unsound = 0;
+    pool_.run(static_cast<uint32_t>(parts_.size() - 1), [&](uint32_t part) {
+      const std::span leaves = std::span(matrix_->leaves).subspan(parts_[part], parts_[part + 1] - parts_[part]);
+      bool sound = kernel_(job, parts_[part], parts_[part + 1]);
+      if (omega != 1) sound = stepFurther(leaves, omega);
+      if (!sound) unsound += repair(leaves);
+    });
+    repaired_ += unsound;
+    refine();
+    from_.swap(to_);
+  }
+
+  // Whether all of them are sound.
+  bool stepFurther(std::span<const uint32_t> leaves, float omega) {
+    bool sound = true;
+    for (const uint32_t s : leaves) {
+      const Vec4 old = before_[s], m = source_[s], b = to_[s];
+      to_[s] = {std::max(m.x, old.x + omega * (b.x - old.x)), std::max(m.y, old.y + omega * (b.y - old.y)),
+                std::max(m.z, old.z + omega * (b.z - old.z)), 0};
+      sound &= isSound(to_[s]);
+    }
+    return sound;
+  }
+
+  uint32_t repair(std::span<const uint32_t> leaves) {
+    uint32_t repaired = 0;
+    for (const uint32_t s : leaves) {
+      if (isSound(to_[s])) continue;
+      to_[s] = source_[s];
+      ++repaired;
+    }
+    return repaired;
+  }
+
+  // Of the last step, over the leaves.
+  double lastChange() const {
+    double sum = 0;
+    for (const uint32_t s : matrix_->leaves) {
+      const double x = static_cast<double>(from_[s].x) - static_cast<double>(to_[s].x);
+      const double y = static_cast<double>(from_[s].y) - static_cast<double>(to_[s].y);
+      const double z = static_cast<double>(from_[s].z) - static_cast<double>(to_[s].z);
+      sum += x * x + y * y + z * z;
+    }
+    return std::sqrt(sum);
+  }
+
+  Vec4 reflectance(uint32_t slot) const {
+    const Vec4 albedo = matrix_->albedo[slot];
+    const float scale = matrix_->row_scale[slot];
+    return {albedo.x * scale, albedo.y * scale, albedo.z * scale, 0};
+  }
+
+  void divideRows() {
+    parts_.assign(1, 0);
+    uint32_t entries = 0;
+    for (uint32_t i = 0; i < matrix_->leaves.size(); ++i) {
+      entries += matrix_->row_entries[matrix_->leaves[i]];
+      if (entries < kPartEntries) continue;
+      parts_.push_back(i + 1);
+      entries = 0;
+    }
+    if (parts_.back() != matrix_->leaves.size()) parts_.push_back(static_cast<uint32_t>(matrix_->leaves.size()));
+  }
+
+  void weighChildren() {
+    for (const LocalMatrix::Refined& refined : matrix_->refined) {
+      const float* area = matrix_->area_m2.data() + refined.first_child;
+      double total = 0;
+      for (uint32_t c = 0; c < refined.children; ++c) total += static_cast<double>(area[c]);
+      for (uint32_t c = 0; c < refined.children; ++c)
+        child_weight_[refined.first_child + c] = total > 0 ? static_cast<float>(static_cast<double>(area[c]) / total)
+                                                           : 1.0f / static_cast<float>(refined.children);
+    }
+  }
+
+  // Level by level from the finest up: a level's children are done.
+  void refine() {
+    const auto& starts = matrix_->refined_level_start;
+    for (size_t level = 0; level + 1 < starts.size(); ++level) {
+      const uint32_t first = starts[level], end = starts[level + 1];
+      const uint32_t parts = (end - first + kPartRefined - 1) / kPartRefined;
+      pool_.run(parts, [&](uint32_t part) {
+        refineSlots(matrix_->refined.data(), child_weight_.data(), to_.data(), first + part * kPartRefined,
+                    std::min(end, first + (part + 1) * kPartRefined));
+      });
+    }
+  }
+
+  WorkerPool pool_;
+  GatherKernel kernel_ = gatherPortable;
+  const LocalMatrix* matrix_ = nullptr;
+  std::vector<Vec4> reflectance_, source_, from_, to_;
+  std::vector<Vec4> before_;  // of two steps ago, in approach()
+  std::vector<float> child_weight_;  // per slot: its area over its parent's children's
+  std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
+  SemiIteration pace_;
+  uint64_t repaired_ = 0;
+  double last_ms_ = 0;
+};
+
+}  // namespace
+
+std::unique_ptr<Solver> makeCpuGather(int threads) { return std::make_unique<CpuGather>(threads); }
+
+}  // namespace ff::runtime

@@ -1,0 +1,720 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gather_change_comp.h"
+#include "gather_comp.h"
+#include "gather_enter_comp.h"
+#include "gather_kinds_comp.h"
+#include "gather_leave_comp.h"
+#include "refine_comp.h"
+#include "resolve_comp.h"
+#include "runtime/cut/page_table.h"
+#include "runtime/gather/gather_correction.h"
+#include "runtime/gather/gather_layout.h"
+#include "runtime/gather/semi_iteration.h"
+#include "runtime/solver/sound_light.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
+#include "runtime/vulkan/pipeline.h"
+#include "shaders/shared.h"
+#include "shine_comp.h"
+
+namespace ff::runtime {
+namespace {
+
+constexpr uint32_t kMostTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
+constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
+constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
+constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
+static_assert(shaders::kPageNodes == formats::kTileNodes);
+
+VkDescriptorBufferInfo whole(const Buffer& b) { return {b.handle(), 0, VK_WHOLE_SIZE}; }
+
+Error tooSmall(const std::string& message) {
+  return Error{ErrorCode::kIo, "", "vulkan", message, "raise the capacity", ErrorCause::kOutOfDeviceMemory};
+}
+
+class VulkanGather final : public VulkanRecorder {
+ public:
+  VulkanGather(std::shared_ptr<VkContext> context, const VulkanGatherSettings& settings,
+               std::unique_ptr<GatherCorrection> correction)
+      : context_(std::move(context)), settings_(settings), correction_(std::move(correction)) {}
+  ~VulkanGather() override;
+  Result<void> start();
+
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
+  Result<void> setSource(std::span<const Vec4> source) override;
+  Result<void> iterate(int k) override;
+  Result<void> approach(int k) override;
+  Result<void> radiosity(std::span<Vec4> out) override;
+  uint64_t repaired() const override {
+    uint32_t in_steps = 0;
+    std::memcpy(&in_steps, faults_.mapped(), sizeof(in_steps));
+    return repaired_ + in_steps;
+  }
+  double lastMs() const override { return last_ms_; }
+  const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
+  Result<void> record(VkCommandBuffer commands, int iterations) override;
+  Result<void> setEmission(std::span<const Vec4> emission) override;
+  VkBuffer radiosityBuffer() const override { return output_.handle(); }
+  VkBuffer reflectedBuffer() const override { return radiosity_[now_].handle(); }
+  VkBuffer sourceBuffer() const override { return source_.handle(); }
+  uint64_t uploadedBytes() const override { return uploaded_bytes_; }
+  double lastChangeMs() const override { return last_change_ms_; }
+  double residual() const override { return correction_ ? correction_->residual() : -1; }
+  const DenseStats* dense() const override { return correction_ ? &correction_->stats() : nullptr; }
+  Result<std::vector<uint32_t>> row(uint32_t slot);
+  Result<void> fillMatrix(float value) { return correction_->fillMatrix(value); }
+
+ private:
+  // A range of `jobs_` with what a dispatch over it needs.
+  struct Jobs {
+    uint32_t first, count, segment;
+  };
+  struct Level {  // spans of one level
+    uint32_t first, count, longest;
+  };
+  Result<void> makePipelines();
+  Result<void> makeBuffers();
+  Result<void> makeSets();
+  std::byte* stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies);
+  void stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has);
+  Result<void> flush();
+  Result<void> stagePages(const LocalMatrix& m, const MatrixChange& change, bool all);
+  void listJobs(const MatrixChange& change, bool all);
+  void listSpans();
+  void recordCopies(VkCommandBuffer c);
+  void recordChange(VkCommandBuffer c);
+  void recordIteration(VkCommandBuffer c, bool first, float omega);
+  // omega(): of the next step.
+  template <class Omega>
+  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega);
+  template <class Omega>
+  Result<void> runSteps(int steps, Omega&& omega);
+  Result<double> runMeasuredStep();
+  void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
+  void readTime(uint32_t frame, bool wait);
+  uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
+  void forgetStaged();
+
+  std::shared_ptr<VkContext> context_;  // first: outlives everything below
+  VulkanGatherSettings settings_;
+  std::unique_ptr<GatherCorrection> correction_;  // may be null
+  std::string name_ = "vulkan: " + context_->deviceName();
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, change_, refine_, shine_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
+  Buffer faults_;   // one word: values repaired in steps
+  Buffer changes_;  // of runMeasuredStep(): a float a work group
+  Buffer radiosity_[2];  // reflected
+  uint32_t now_ = 0;     // radiosity_[now_] is the current one
+  StorageSets sets_;
+  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
+  VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
+  VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
+  std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
+  VkQueryPool queries_ = VK_NULL_HANDLE;                       // kQueries a frame in flight
+  uint64_t segment_bytes_ = 0;
+  uint32_t segments_ = 1;
+
+  GatherLayout layout_;
+  const LocalMatrix* matrix_ = nullptr;
+  uint32_t slots_ = 0;
+  std::vector<Level> levels_;  // finest first
+  // What the next record() does first.
+  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false;
+  uint32_t left_ = 0;
+  std::vector<shaders::TileJob> job_list_;
+  std::vector<shaders::SlotSpan> span_list_;
+  std::vector<Jobs> enter_jobs_, resolve_jobs_;
+  std::vector<VkBufferCopy> copies_to_packed_, copies_to_pages_, copies_to_jobs_, copies_to_spans_, copies_to_source_,
+      copies_to_radiosity_, copies_to_emission_;
+  uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
+  std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
+  uint64_t uploaded_bytes_ = 0, repaired_ = 0;
+  SemiIteration pace_;
+  double last_ms_ = 0, last_change_ms_ = 0;
+};
+
+VulkanGather::~VulkanGather() {
+  // Command buffers of the caller's may still be under way: a FallbackSolver drops this solver in the middle of a flight.
+  vkDeviceWaitIdle(context_->device());
+  if (queries_) vkDestroyQueryPool(context_->device(), queries_, nullptr);
+}
+
+Result<void> VulkanGather::start() {
+  const uint64_t range = context_->limits().maxStorageBufferRange;
+  const uint64_t most = settings_.max_binding_bytes ? std::min(settings_.max_binding_bytes, range) : range;
+  const uint64_t align = std::max<uint64_t>(256, context_->limits().minStorageBufferOffsetAlignment);
+  settings_.entry_bytes = roundUp(settings_.entry_bytes, align);  // else a second segment for what is left
+  segment_bytes_ = std::min(most, settings_.entry_bytes) / align * align;
+  if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
+      settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMostTiles)
+    return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
+                 "give at least " + std::to_string(align) + " bytes, 1 to 65536 slots, 1 to 16383 tiles and 1 frame"};
+  segments_ = static_cast<uint32_t>(groupsOf(settings_.entry_bytes, segment_bytes_));
+  if (settings_.packed_bytes > range || settings_.pages * kPageBytes > range)
+    return Error{ErrorCode::kUsage, "", "vulkan",
+                 "packed rows or pages exceed the " + std::to_string(range >> 20) + " MiB that the device binds",
+                 "lower packed_bytes or pages"};
+  layout_ = GatherLayout({settings_.packed_bytes / 4, segment_bytes_ / kVectorBytes, segments_, settings_.tiles});
+  job_list_.reserve(size_t{4} * settings_.tiles);
+  span_list_.reserve(settings_.tiles);
+  for (auto* list : {&enter_jobs_, &resolve_jobs_}) list->reserve(formats::kMaxLevels + segments_);
+  levels_.reserve(formats::kMaxLevels);
+  copies_to_packed_.reserve(settings_.tiles);
+  copies_to_pages_.reserve(settings_.pages);
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_radiosity_, &copies_to_emission_})
+    list->reserve(1);
+  timed_.assign(settings_.frames_in_flight, 0);
+  if (auto r = makePipelines(); !r) return r;
+  if (auto r = makeBuffers(); !r) return r;
+  if (auto r = makeSets(); !r) return r;
+  if (context_->hasTimestamps()) {
+    auto info = zeroed<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
+    info.queryType = VK_QUERY_TYPE_TIMESTAMP;
+    info.queryCount = kQueries * settings_.frames_in_flight;
+    if (const VkResult r = vkCreateQueryPool(context_->device(), &info, nullptr, &queries_); r != VK_SUCCESS)
+      return vkError("vkCreateQueryPool", r);
+  }
+  auto cleared = context_->run([&](VkCommandBuffer c) {
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &radiosity_[0], &radiosity_[1], &kinds_})
+      vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
+    vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
+  });
+  if (!cleared) return cleared.error();
+  if (!correction_) return {};
+  return correction_->start({kinds_.handle(),
+                             albedo_.handle(),
+                             source_.handle(),
+                             {radiosity_[0].handle(), radiosity_[1].handle()},
+                             settings_.slots,
+                             settings_.frames_in_flight});
+}
+
+Result<void> VulkanGather::makePipelines() {
+  struct Wanted {
+    ComputePipeline* pipeline;
+    std::span<const uint32_t> words;
+    uint32_t buffers;
+    size_t push_bytes;
+    bool variant = false;
+  };
+  const Wanted list[] = {{&leave_, gather_leave_comp, 2, sizeof(shaders::JobPush)},
+                         {&enter_, gather_enter_comp, 6, sizeof(shaders::JobPush)},
+                         {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
+                         {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
+                         {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
+                         {&gather_further_, gather_comp, 8, sizeof(shaders::GatherPush), true},
+                         {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
+                         {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)},
+                         {&shine_, shine_comp, 3, sizeof(shaders::ShinePush)}};
+  for (const Wanted& w : list) {
+    auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes), w.variant);
+    if (!made) return made.error();
+    *w.pipeline = std::move(*made);
+  }
+  return {};
+}
+
+Result<void> VulkanGather::makeBuffers() {
+  const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
+  const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
+  // All that one frame can bring: the whole cut, every page, light, emission and radiosity. Each frame's begins aligned.
+  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 3 * slots * sizeof(Vec4);
+  region_bytes_ = roundUp(most, sizeof(Vec4));
+  struct Wanted {
+    Buffer* buffer;
+    uint64_t bytes;
+    MemoryUse use = MemoryUse::kDevice;
+  };
+  const Wanted list[] = {
+      {&rows_, slots * sizeof(shaders::GatherRow)},
+      {&entries_, segments_ * segment_bytes_},
+      {&packed_, settings_.packed_bytes},
+      {&pages_, settings_.pages * kPageBytes},
+      {&albedo_, slots * sizeof(Vec4)},
+      {&parents_, slots * sizeof(uint32_t)},
+      {&kinds_, slots * sizeof(uint32_t)},
+      {&source_, slots * sizeof(Vec4)},
+      {&jobs_, jobs},
+      {&spans_, spans},
+      {&emission_, slots * sizeof(Vec4)},
+      {&output_, slots * sizeof(Vec4)},
+      {&faults_, sizeof(uint32_t), MemoryUse::kHost},
+      {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
+      {&radiosity_[0], slots * sizeof(Vec4)},
+      {&radiosity_[1], slots * sizeof(Vec4)},
+      {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost}};
+  for (const Wanted& w : list) {
+    auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
+    if (!b) return b.error();
+    *w.buffer = std::move(*b);
+  }
+  std::memset(faults_.mapped(), 0, sizeof(uint32_t));
+  return {};
+}
+
+Result<void> VulkanGather::makeSets() {
+  auto sets = StorageSets::create(*context_, 10 + 3 * segments_, 2 + 2 + 12 + 8 + 8 + 6 + segments_ * (6 + 16));
+  if (!sets) return sets.error();
+  sets_ = std::move(*sets);
+  Result<void> failed;
+  const auto make = [&](const ComputePipeline& pipeline, std::initializer_list<VkDescriptorBufferInfo> buffers) {
+    auto set = sets_.make(pipeline.setLayout(), std::span(buffers.begin(), buffers.size()));
+    if (set) return *set;
+    failed = set.error();
+    return VkDescriptorSet{VK_NULL_HANDLE};
+  };
+  leave_set_ = make(leave_, {whole(jobs_), whole(parents_)});
+  kinds_set_ = make(kinds_pass_, {whole(parents_), whole(kinds_)});
+  for (uint32_t i = 0; i < 2; ++i) {
+    enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
+                                  whole(radiosity_[i])});
+    refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(albedo_), whole(radiosity_[i])});
+    change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
+    shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_)});
+  }
+  for (uint32_t s = 0; s < segments_; ++s) {
+    const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
+    resolve_sets_.push_back(make(resolve_, {whole(jobs_), whole(packed_), whole(pages_), whole(kinds_), whole(rows_), segment}));
+    for (uint32_t now = 0; now < 2; ++now)
+      gather_sets_[now].push_back(
+          make(gather_, {whole(rows_), segment, whole(albedo_), whole(source_), whole(radiosity_[now]),
+                         whole(radiosity_[1 - now]), whole(kinds_), whole(faults_)}));
+  }
+  return failed;
+}
+
+// Room in this frame's region and the copy from there, which the next record() makes.
+std::byte* VulkanGather::stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies) {
+  const uint64_t from = frame_ % settings_.frames_in_flight * region_bytes_ + region_used_;
+  FF_CHECK_LE(region_used_ + bytes, region_bytes_);
+  FF_CHECK_LE(at + bytes, to.bytes());
+  region_used_ += bytes;
+  uploaded_bytes_ += bytes;
+  copies.push_back({from, at, bytes});
+  return staging_.mapped() + from;
+}
+
+// A change that was not recorded yet goes to the device now.
+Result<void> VulkanGather::flush() {
+  if (!changed_ && !has_source_ && !has_radiosity_ && !has_emission_) return {};
+  Result<void> recorded;
+  auto ms = context_->run([&](VkCommandBuffer c) { recorded = record(c, 0); });
+  if (!recorded) return recorded;
+  if (!ms) return ms.error();
+  return {};
+}
+
+// After an update that failed half-way.
+void VulkanGather::forgetStaged() {
+  for (auto* list : {&copies_to_packed_, &copies_to_pages_, &copies_to_jobs_, &copies_to_spans_, &copies_to_source_,
+                     &copies_to_radiosity_, &copies_to_emission_})
+    list->clear();
+  region_used_ = 0;
+  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
+}
+
+Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
+  if (!matrix_) forgetStaged();
+  if (auto r = flush(); !r) return r;
+  const bool by_hand = !m.pages;
+  if (matrix_ == &m && !change.any && !by_hand) return {};
+  const bool afresh = std::exchange(matrix_, nullptr) != &m || by_hand, all = afresh || change.renumbered;
+  FF_CHECK_LT(0u, m.slots());
+  if (m.slots() > settings_.slots)
+    return tooSmall(std::to_string(m.slots()) + " slots, room was made for " + std::to_string(settings_.slots));
+  if (auto r = layout_.update(m, all); !r) return r;
+  if (auto r = stagePages(m, change, all); !r) return r;
+  for (const GatherLayout::Tile& tile : layout_.tiles())
+    if (tile.placed)
+      GatherLayout::write(m, tile,
+                          reinterpret_cast<uint32_t*>(stage(packed_, tile.packed_at * 4, tile.packed_words * 4, copies_to_packed_)));
+  matrix_ = &m;
+  listJobs(change, all);
+  listSpans();
+  if (!job_list_.empty())
+    std::memcpy(stage(jobs_, 0, job_list_.size() * sizeof(shaders::TileJob), copies_to_jobs_), job_list_.data(),
+                job_list_.size() * sizeof(shaders::TileJob));
+  if (!span_list_.empty())
+    std::memcpy(stage(spans_, 0, span_list_.size() * sizeof(shaders::SlotSpan), copies_to_spans_), span_list_.data(),
+                span_list_.size() * sizeof(shaders::SlotSpan));
+  slots_ = m.slots();
+  changed_ = true;
+  pace_.forget();
+  all_ = all;
+  if (correction_) correction_->update(m, change, afresh);
+  return {};
+}
+
+Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& change, bool all) {
+  const auto put = [&](uint32_t number, auto&& slot_of) {
+    auto* page = reinterpret_cast<uint16_t*>(stage(pages_, number * kPageBytes, kPageBytes, copies_to_pages_));
+    for (uint32_t i = 0; i < shaders::kPageNodes; ++i) page[i] = slot_of(i);
+  };
+  if (!m.pages) {  // made by hand: pages in the order of slots
+    const uint32_t pages = groupsOf(m.slots(), shaders::kPageNodes);
+    if (pages > settings_.pages) return tooSmall("more pages than room was made for");
+    for (uint32_t p = 0; p < pages; ++p)
+      put(p, [p](uint32_t i) { return static_cast<uint16_t>(p * shaders::kPageNodes + i); });
+    return {};
+  }
+  if (m.pages->pages().size() > settings_.pages)
+    return tooSmall(std::to_string(m.pages->pages().size()) + " pages, room was made for " +
+                    std::to_string(settings_.pages));
+  const auto copy = [&](uint32_t number) {
+    const PageTable::Page& page = m.pages->page(number);
+    put(number, [&](uint32_t i) { return page[i]; });
+  };
+  if (all)
+    for (uint32_t p = 0; p < m.pages->pages().size(); ++p) copy(p);
+  else
+    for (const uint32_t p : change.pages) copy(p);
+  return {};
+}
+
+// Tiles that left, those to take up (coarsest level first, a dispatch a level), those to resolve (a dispatch a segment).
+void VulkanGather::listJobs(const MatrixChange& change, bool all) {
+  const std::span<const GatherLayout::Tile> tiles = layout_.tiles();
+  job_list_.clear();
+  enter_jobs_.clear();
+  resolve_jobs_.clear();
+  if (!all)
+    for (const SlotRange& range : change.left) job_list_.push_back({range.first_slot, range.nodes, 0, 0, 0, 0, 0, 0});
+  left_ = static_cast<uint32_t>(job_list_.size());
+  const auto add = [&](const GatherLayout::Tile& tile, uint32_t start) {
+    job_list_.push_back({tile.range.first_slot, tile.range.nodes, tile.segment, static_cast<uint32_t>(tile.packed_at),
+                         tile.pages_at, tile.words_at, static_cast<uint32_t>(tile.entries_at), start});
+  };
+  bool any_placed_anew = false;
+  uint32_t level = kNoSlot;
+  for (size_t t = tiles.size(); t-- > 0;) {
+    const GatherLayout::Tile& tile = tiles[t];
+    if (!tile.placed) continue;
+    any_placed_anew = any_placed_anew || !tile.entered;
+    if (enter_jobs_.empty() || tile.range.id.level != level)
+      enter_jobs_.push_back({static_cast<uint32_t>(job_list_.size()), 0, 0});
+    level = tile.range.id.level;
+    ++enter_jobs_.back().count;
+    add(tile, all ? shaders::kStartZero : tile.entered ? shaders::kStartParent : shaders::kStartKept);
+  }
+  for (uint32_t s = 0; s < segments_; ++s) {
+    const Jobs jobs{static_cast<uint32_t>(job_list_.size()), 0, s};
+    const auto resolve = [&](const GatherLayout::Tile& tile) {
+      if (tile.segment == s) add(tile, shaders::kStartKept);
+    };
+    if (all || any_placed_anew)
+      std::for_each(tiles.begin(), tiles.end(), resolve);
+    else
+      for (const uint32_t t : change.rows) resolve(tiles[t]);
+    if (job_list_.size() == jobs.first) continue;
+    resolve_jobs_.push_back(jobs);
+    resolve_jobs_.back().count = static_cast<uint32_t>(job_list_.size()) - jobs.first;
+  }
+}
+
+// The slots whose parents are refined, level by level from the finest.
+void VulkanGather::listSpans() {
+  span_list_.clear();
+  levels_.clear();
+  const LocalMatrix& m = *matrix_;
+  const auto add = [&](uint32_t first, uint32_t slots) {
+    span_list_.push_back({first, slots});
+    ++levels_.back().count;
+    levels_.back().longest = std::max(levels_.back().longest, slots);
+  };
+  if (!m.pages) {
+    for (size_t l = 0; l + 1 < m.refined_level_start.size(); ++l) {
+      levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
+      for (uint32_t r = m.refined_level_start[l]; r < m.refined_level_start[l + 1]; ++r)
+        add(m.refined[r].first_child, m.refined[r].children);
+    }
+    return;
+  }
+  uint32_t level = kNoSlot;
+  for (const SlotRange& range : m.tiles) {
+    if (range.id.level != level) levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
+    level = range.id.level;
+    add(range.first_slot, range.nodes);
+  }
+  if (!levels_.empty() && m.parent_slot[m.tiles.back().first_slot] == kNoSlot) {  // the top level has no parents
+    span_list_.resize(levels_.back().first);
+    levels_.pop_back();
+  }
+}
+
+// Twice in a frame: the later counts.
+void VulkanGather::stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has) {
+  FF_CHECK_EQ(values.size(), size_t{slots_});
+  std::byte* const at = has ? staging_.mapped() + copies.back().srcOffset : stage(to, 0, values.size_bytes(), copies);
+  repaired_ += copySound(values, {reinterpret_cast<Vec4*>(at), values.size()});
+  has = true;
+}
+
+Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
+  stageOnce(source, source_, copies_to_source_, has_source_);
+  pace_.forget();
+  return {};
+}
+
+Result<void> VulkanGather::setEmission(std::span<const Vec4> emission) {
+  stageOnce(emission, emission_, copies_to_emission_, has_emission_);
+  return {};
+}
+
+Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
+  FF_CHECK_EQ(radiosity.size(), size_t{slots_});
+  auto* to = reinterpret_cast<Vec4*>(
+      has_radiosity_ ? staging_.mapped() + copies_to_radiosity_.back().srcOffset
+                     : stage(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
+  repaired_ += copySound(radiosity, {to, radiosity.size()});
+  has_radiosity_ = true;
+  pace_.forget();
+  return {};
+}
+
+void VulkanGather::recordCopies(VkCommandBuffer c) {
+  const auto copy = [&](std::vector<VkBufferCopy>& list, const Buffer& to) {
+    if (!list.empty())
+      vkCmdCopyBuffer(c, staging_.handle(), to.handle(), static_cast<uint32_t>(list.size()), list.data());
+    list.clear();
+  };
+  copy(copies_to_packed_, packed_);
+  copy(copies_to_pages_, pages_);
+  copy(copies_to_jobs_, jobs_);
+  copy(copies_to_spans_, spans_);
+  copy(copies_to_source_, source_);
+  copy(copies_to_emission_, emission_);
+  if (all_) vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
+}
+
+void VulkanGather::dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set,
+                                const Jobs& jobs) const {
+  // resolve.comp takes as many nodes at once as a group has subgroups, and goes on until the tile is done.
+  const uint32_t at_once = &pipeline == &resolve_ ? rowsPerGroup() : shaders::kGatherGroup;
+  const uint32_t most = std::max(1u, context_->limits().maxComputeWorkGroupCount[0] / jobs.count);
+  const shaders::JobPush push{jobs.first, jobs.count, std::min(groupsOf(formats::kTileNodes, at_once), most)};
+  pipeline.dispatch(c, set, &push, jobs.count * push.groups);
+}
+
+void VulkanGather::recordChange(VkCommandBuffer c) {
+  if (left_ > 0) dispatchJobs(c, leave_, leave_set_, {0, left_, 0});
+  separate(c);
+  for (const Jobs& jobs : enter_jobs_) {
+    dispatchJobs(c, enter_, enter_set_[now_], jobs);
+    separate(c);
+  }
+  for (uint32_t pass = 0; pass < 2; ++pass) {
+    const shaders::JobPush push{0, slots_, pass};
+    kinds_pass_.dispatch(c, kinds_set_, &push, groupsOf(slots_, shaders::kGatherGroup));
+    separate(c);
+  }
+  for (const Jobs& jobs : resolve_jobs_) dispatchJobs(c, resolve_, resolve_sets_[jobs.segment], jobs);
+  separate(c);
+}
+
+void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
+  for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
+    const shaders::GatherPush push{slots_, s, omega};
+    const ComputePipeline& gather = omega == 1 ? gather_ : gather_further_;
+    gather.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+  }
+  // The next step reads what this one wrote, the next iteration overwrites what this one read.
+  separate(c);
+  if (correction_) correction_->recordStep(c, now_, first);
+  for (const Level& level : levels_) {
+    const uint32_t groups = groupsOf(level.longest, shaders::kRefineGroup);
+    const shaders::RefinePush push{level.first, groups};
+    refine_.dispatch(c, refine_set_[1 - now_], &push, level.count * groups);
+    separate(c);
+  }
+  now_ = 1 - now_;
+}
+
+void VulkanGather::readTime(uint32_t frame, bool wait) {
+  if (!queries_ || !timed_[frame]) return;
+  uint64_t ticks[kQueries] = {};
+  const VkQueryResultFlags flags = VK_QUERY_RESULT_64_BIT | (wait ? VK_QUERY_RESULT_WAIT_BIT : 0);
+  if (vkGetQueryPoolResults(context_->device(), queries_, kQueries * frame, kQueries, sizeof(ticks), ticks,
+                            sizeof(uint64_t), flags) != VK_SUCCESS)
+    return;
+  const double ms_per_tick = static_cast<double>(context_->limits().timestampPeriod) * 1e-6;
+  last_change_ms_ = static_cast<double>(ticks[1] - ticks[0]) * ms_per_tick;
+  last_ms_ = static_cast<double>(ticks[2] - ticks[1]) * ms_per_tick;
+}
+
+Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
+  return recordSteps(c, iterations, [] { return 1.0f; });
+}
+
+template <class Omega>
+Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega) {
+  FF_CHECK_EQ(matrix_ != nullptr, true);
+  const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
+  readTime(frame, false);
+  const auto stamp = [&](uint32_t query) {
+    if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, kQueries * frame + query);
+  };
+  if (queries_) vkCmdResetQueryPool(c, queries_, kQueries * frame, kQueries);
+  separate(c);
+  stamp(0);
+  recordCopies(c);
+  separate(c);
+  if (changed_) recordChange(c);
+  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_)) {
+    vkCmdFillBuffer(c, radiosity_[now_].handle(), 0, VK_WHOLE_SIZE, 0);
+    separate(c);
+  }
+  if (has_radiosity_) {
+    vkCmdCopyBuffer(c, staging_.handle(), radiosity_[now_].handle(), 1, copies_to_radiosity_.data());
+    copies_to_radiosity_.clear();
+    separate(c);
+  }
+  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
+  left_ = 0;
+  stamp(1);
+  for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0, omega());
+  if (correction_) correction_->recordEnd(c, frame, iterations);
+  stamp(2);
+  timed_[frame] = 1;
+  const shaders::ShinePush push{slots_};
+  shine_.dispatch(c, shine_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
+  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+          VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
+  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+          VK_ACCESS_HOST_READ_BIT);  // faults_
+  ++frame_;
+  region_used_ = 0;
+  return {};
+}
+
+template <class Omega>
+Result<void> VulkanGather::runSteps(int k, Omega&& omega) {
+  double ms = 0;
+  for (int done = 0; done < k;) {
+    const int n = std::min(k - done, kIterationsPerSubmit);
+    const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
+    Result<void> recorded;
+    auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega); });
+    if (!recorded) return recorded;
+    if (!took) return took.error();
+    last_ms_ = *took;
+    readTime(frame, true);
+    ms += last_ms_;
+    done += n;
+  }
+  last_ms_ = ms;
+  return {};
+}
+
+// A Jacobi step; the norm of its change over the leaves.
+Result<double> VulkanGather::runMeasuredStep() {
+  if (auto ran = runSteps(1, [] { return 1.0f; }); !ran) return ran.error();
+  auto took = context_->run([&](VkCommandBuffer c) {
+    const shaders::ChangePush push{slots_};
+    change_.dispatch(c, change_set_[1 - now_], &push, groupsOf(slots_, shaders::kGatherGroup));
+    barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+            VK_ACCESS_HOST_READ_BIT);
+  });
+  if (!took) return took.error();
+  double sum = 0;
+  for (uint32_t g = 0; g < groupsOf(slots_, shaders::kGatherGroup); ++g) {
+    float part = 0;
+    std::memcpy(&part, changes_.mapped() + g * sizeof(part), sizeof(part));
+    sum += static_cast<double>(part);
+  }
+  return std::sqrt(sum);
+}
+
+Result<void> VulkanGather::iterate(int k) {
+  return runSteps(k, [] { return 1.0f; });
+}
+
+Result<void> VulkanGather::approach(int k) {
+  if (correction_ || !pace_.suits(k)) return iterate(k);
+  const auto first = runMeasuredStep();
+  if (!first) return first.error();
+  double ms = last_ms_;
+  const auto second = runMeasuredStep();
+  if (!second) return second.error();
+  ms += last_ms_;
+  pace_.learn(*first, *second);
+  if (auto ran = runSteps(k - 2, [this] { return pace_.omega(); }); !ran) return ran;
+  last_ms_ += ms;
+  return {};
+}
+
+Result<void> VulkanGather::radiosity(std::span<Vec4> out) {
+  FF_CHECK_EQ(out.size(), size_t{slots_});
+  if (auto r = flush(); !r) return r;
+  return download(*context_, radiosity_[now_], 0, std::as_writable_bytes(out));
+}
+
+Result<std::vector<uint32_t>> VulkanGather::row(uint32_t slot) {
+  if (auto r = flush(); !r) return r.error();
+  shaders::GatherRow row{};
+  if (auto r = download(*context_, rows_, slot * sizeof(row), std::as_writable_bytes(std::span(&row, 1))); !r)
+    return r.error();
+  std::vector<uint32_t> entries(row.entries);
+  if (auto r = download(*context_, entries_, row.segment * segment_bytes_ + row.first * kVectorBytes,
+                        std::as_writable_bytes(std::span(entries)));
+      !r)
+    return r.error();
+  return entries;
+}
+
+}  // namespace
+
+VulkanGatherSettings gatherRoomFor(const formats::World& world) {
+  uint64_t nodes = 0, entries = 0, tiles = 0;
+  for (uint32_t level = 0; level < world.levels().size(); ++level) {
+    nodes += world.levels()[level].nodes;
+    entries += world.levels()[level].entries;
+    tiles += world.tiles(level).size();
+  }
+  const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots), a_row = entries / std::max<uint64_t>(nodes, 1) + 1;
+  VulkanGatherSettings s;
+  s.slots = static_cast<uint32_t>(in_cut);
+  s.tiles = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 4096));
+  s.pages = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 65536));
+  // A word an entry, about a run of one word for every four of them; row starts and nodes 32 bytes.
+  s.packed_bytes = ((a_row * 3 + 32) * in_cut + tiles * 8) * 3 / 2 + (1 << 16);
+  s.entry_bytes = (a_row + 2 * shaders::kEntriesPerLoad) * 4 * in_cut * 3 / 2 + (1 << 16);
+  return s;
+}
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
+                                                           const VulkanGatherSettings& settings) {
+  return makeVulkanRecorder(std::move(context), settings, nullptr);
+}
+
+Result<std::unique_ptr<VulkanRecorder>> makeVulkanRecorder(std::shared_ptr<VkContext> context,
+                                                           const VulkanGatherSettings& settings,
+                                                           std::unique_ptr<GatherCorrection> correction) {
+  auto gather = std::make_unique<VulkanGather>(std::move(context), settings, std::move(correction));
+  if (auto r = gather->start(); !r) return r.error();
+  return std::unique_ptr<VulkanRecorder>(std::move(gather));
+}
+
+Result<std::unique_ptr<Solver>> makeVulkanGather(std::shared_ptr<VkContext> context,
+                                                 const VulkanGatherSettings& settings) {
+  auto recorder = makeVulkanRecorder(std::move(context), settings);
+  if (!recorder) return recorder.error();
+  return std::unique_ptr<Solver>(std::move(*recorder));
+}
+
+Result<std::vector<uint32_t>> resolvedRow(VulkanRecorder& recorder, uint32_t slot) {
+  return static_cast<VulkanGather&>(recorder).row(slot);
+}
+
+Result<void> fillMatrix(VulkanRecorder& recorder, float value) {
+  return static_cast<VulkanGather&>(recorder).fillMatrix(value);
+}
+
+}  // namespace ff::runtime

@@ -1,0 +1,101 @@
+// The drawing triangles of the level-0 tiles nearest to the observer, for the rays of probes: loaded, and arranged in
+// trees, by a thread of their own, as many as a budget of memory holds. The frame thread gets finished scenes.
+#pragma once
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "formats/reader.h"
+#include "runtime/probes/box_tree.h"
+#include "stream/tile_numbers.h"
+
+namespace ff::runtime {
+
+// A triangle, counter-clockwise seen from the front.
+struct Facet {
+  Vec3 corner, to_second, to_third;  // m
+  uint8_t patch = 0;                 // of its tile
+};
+
+// Distance along the ray to the facet, 3e38 if it misses; front: from which side.
+float distanceTo(const Facet& facet, const RayLine& ray, bool& front);
+
+struct TileFacets {
+  uint32_t tile = 0;
+  std::vector<Facet> facets;  // in the order of the tree
+  BoxTree tree;
+  Box bounds;
+  uint64_t bytes() const { return sizeof(*this) + facets.size() * sizeof(Facet) + tree.bytes(); }
+};
+
+// Immutable.
+struct FacetScene {
+  std::vector<std::shared_ptr<const TileFacets>> tiles;
+  BoxTree tree;                  // over tiles
+  std::vector<uint8_t> covered;  // by number of a tile of any level: whether all patches beneath are in `tiles`
+  bool complete = false;         // all of the world is in `tiles`
+  float back_handicap_m = 0;
+
+  struct Hit {
+    uint32_t tile = 0, patch = 0;  // of level 0
+    bool front = true;
+    float distance_m = 3e38f;  // this: nothing
+  };
+  // Nearest triangle. Of two in one place, a double-sided surface's, the one that faces the ray is met; back faces
+  // nearer than the handicap are the surface that the origin lies on.
+  Hit nearest(const RayLine& ray) const;
+};
+
+class FacetScenes {
+ public:
+  // memory_bytes: of the scene's tiles.
+  FacetScenes(const formats::World& world, uint64_t memory_bytes);
+  ~FacetScenes();
+
+  // The owner's calls, of one thread. They allocate and free nothing and never wait; the lock that they take guards
+  // only swaps.
+  void moveTo(Vec3 observer);
+  // Null: none yet. The same until update() says true.
+  const FacetScene* scene() const { return scene_.get(); }
+  bool update();
+  uint32_t tiles() const { return scene_ ? static_cast<uint32_t>(scene_->tiles.size()) : 0; }
+
+  // Whether memory or a thread for it was lacking at some time: probes then meet planes where triangles could not be loaded. Any thread.
+  bool starved() const { return starved_.load(); }
+  // Blocks until the scene for the last observer is here.
+  void settle();
+
+ private:
+  using ScenePtr = std::unique_ptr<const FacetScene>;
+  void work();
+  void findDescendants();
+  bool loadAround(Vec3 observer);  // false: the observer has moved on
+  std::shared_ptr<const TileFacets> load(uint32_t tile) const;
+  void publish();
+
+  const formats::World& world_;
+  const uint64_t memory_bytes_;
+  const stream::TileNumbers numbers_;
+  // The owner's.
+  ScenePtr scene_, next_;
+  Vec3 aimed_at_;
+  bool aimed_ = false;
+  // Handed over.
+  std::mutex mutex_;
+  Vec3 observer_;
+  ScenePtr published_, returned_;
+  std::atomic<uint32_t> aim_{0}, done_{0};  // number of the last observer, and of the last that was served
+  std::atomic<bool> fresh_{false}, stop_{false}, starved_{false};
+  std::atomic<uint32_t> published_count_{0};
+  // The thread's.
+  std::vector<std::pair<uint32_t, uint32_t>> descendants_;  // first and last level-0 tile under a tile, by number
+  std::vector<std::shared_ptr<const TileFacets>> loaded_;   // by level-0 tile
+  uint64_t bytes_ = 0;
+  bool unpublished_ = false;  // tiles were loaded since the last scene
+  std::thread thread_;
+};
+
+}  // namespace ff::runtime

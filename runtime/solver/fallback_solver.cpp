@@ -1,0 +1,78 @@
+#include "runtime/solver/fallback_solver.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+namespace ff::runtime {
+namespace {
+
+class Fallback final : public FallbackSolver {
+ public:
+  Fallback(std::unique_ptr<Solver> first, std::unique_ptr<Solver> second)
+      : first_(std::move(first)), second_(std::move(second)) {}
+
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
+    matrix_ = &matrix;
+    if (change.renumbered) last_seen_.clear();
+    last_seen_.resize(matrix.slots());
+    for (const uint32_t t : change.entered)
+      for (uint32_t i = 0, slot = matrix.tiles[t].first_slot; i < matrix.tiles[t].nodes; ++i, ++slot)
+        last_seen_[slot] = matrix.parent_slot[slot] != kNoSlot ? last_seen_[matrix.parent_slot[slot]] : Vec4{};
+    source_.clear();
+    return attempt([&](Solver& s) { return s.update(matrix, change); });
+  }
+  Result<void> setSource(std::span<const Vec4> source) override {
+    source_.assign(source.begin(), source.end());
+    return attempt([&](Solver& s) { return s.setSource(source_); });
+  }
+  Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
+    last_seen_.assign(radiosity.begin(), radiosity.end());
+    return attempt([&](Solver& s) { return s.setRadiosity(radiosity); });
+  }
+  Result<void> iterate(int k) override {
+    return attempt([&](Solver& s) { return s.iterate(k); });
+  }
+  Result<void> approach(int k) override {
+    return attempt([&](Solver& s) { return s.approach(k); });
+  }
+  Result<void> radiosity(std::span<Vec4> out) override {
+    auto r = attempt([&](Solver& s) { return s.radiosity(out); });
+    if (r) last_seen_.assign(out.begin(), out.end());
+    return r;
+  }
+  uint64_t repaired() const override { return inUse().repaired(); }
+  double lastMs() const override { return inUse().lastMs(); }
+  const char* name() const override { return inUse().name(); }
+  const std::string& reason() const override { return reason_; }
+
+ private:
+  const Solver& inUse() const { return first_ ? *first_ : *second_; }
+
+  template <class Call>
+  Result<void> attempt(const Call& call) {
+    if (!first_) return call(*second_);
+    auto r = call(*first_);
+    if (r || r.error().cause == ErrorCause::kOther) return r;
+    reason_ = r.error().line();
+    first_.reset();
+    if (auto set = second_->update(*matrix_, {}); !set) return set;
+    if (auto set = second_->setRadiosity(last_seen_); !set) return set;
+    if (!source_.empty())
+      if (auto set = second_->setSource(source_); !set) return set;
+    return call(*second_);
+  }
+
+  std::unique_ptr<Solver> first_, second_;
+  std::string reason_;
+  const LocalMatrix* matrix_ = nullptr;
+  std::vector<Vec4> source_, last_seen_;  // their memory is kept from frame to frame
+};
+
+}  // namespace
+
+std::unique_ptr<FallbackSolver> makeFallbackSolver(std::unique_ptr<Solver> first, std::unique_ptr<Solver> second) {
+  return std::make_unique<Fallback>(std::move(first), std::move(second));
+}
+
+}  // namespace ff::runtime

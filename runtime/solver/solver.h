@@ -1,0 +1,43 @@
+// B = M + albedo * F B over the slots of a local matrix; one interface for the CPU and Vulkan.
+// B is the radiosity that slots reflect, M what they reflect of light that arrives without a bounce among slots: albedo *
+// (direct + sky + lamps' irradiance). What they emit is no solver's: lamps light slots past the rows (runtime/lamps.h).
+#pragma once
+#include <memory>
+#include <span>
+
+#include "formats/result.h"
+#include "runtime/cut/local_matrix.h"
+
+namespace ff::runtime {
+
+class Solver {
+ public:
+  virtual ~Solver() = default;
+  // Takes up a change of the matrix, which is the caller's, stays where it is and outlives the solver; called after
+  // each change of it. (The first call takes up the whole matrix.) Slots that stay keep their radiosity, nodes of tiles
+  // that entered start from their parents' (top-level ones from zero); after change.renumbered all starts from zero.
+  virtual Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) = 0;
+  // M per slot, W/m2. What is no sound light (sound_light.h) counts as 0. Refined and free slots' values are ignored.
+  virtual Result<void> setSource(std::span<const Vec4> source) = 0;
+  // Radiosity to go on from, per slot; likewise.
+  virtual Result<void> setRadiosity(std::span<const Vec4> radiosity) = 0;
+  // k steps, after which refined slots are the mean of their children. What a step is, is the solver's: `gather` makes
+  // one Jacobi iteration B <- M + albedo * F B, a dense one takes in all bounces at once.
+  virtual Result<void> iterate(int k) = 0;
+  // k steps towards the solution under a light that stays, by the quickest way that the solver knows; what lies between
+  // is no picture. By default iterate(k).
+  virtual Result<void> approach(int k) { return iterate(k); }
+  // Copies the radiosity of every slot, W/m2; 0 for free slots once a step has been made.
+  virtual Result<void> radiosity(std::span<Vec4> out) = 0;
+  // Values that were no sound light, since the start: of sources and radiosities given, taken for 0; of a step's
+  // results, where the slot has gone on from its source. No step leaves any. Recorded steps count when they have run.
+  virtual uint64_t repaired() const { return 0; }
+  // Time of the last iterate(), ms, on the clock of the device that ran it.
+  virtual double lastMs() const = 0;
+  virtual const char* name() const = 0;  // "cpu", "vulkan: llvmpipe ..."
+};
+
+// threads: 0 = all cores.
+std::unique_ptr<Solver> makeCpuGather(int threads = 0);
+
+}  // namespace ff::runtime
