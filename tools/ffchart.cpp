@@ -21,7 +21,7 @@
 #include "tools/chart/sweep/seen.h"
 #include "tools/chart/sweep/sweep.h"
 #include "tools/chart/sweep/temporal.h"
-#include "tools/view_camera.h"
+#include "tools/view/camera.h"
 
 namespace {
 

@@ -4,7 +4,7 @@
 #include <functional>
 
 #include "formats/version.h"
-#include "tools/inspect.h"
+#include "tools/inspect/inspect.h"
 
 namespace {
 

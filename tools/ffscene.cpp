@@ -6,10 +6,10 @@
 #include <nlohmann/json.hpp>
 
 #include "formats/version.h"
-#include "tools/scene_analytic.h"
-#include "tools/scene_camera.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/analytic.h"
+#include "tools/scene/camera.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace {
 

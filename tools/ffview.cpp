@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "formats/version.h"
-#include "tools/view_run.h"
+#include "tools/view/run.h"
 
 namespace {
 

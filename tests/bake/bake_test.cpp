@@ -13,7 +13,7 @@
 
 #include "formats/reader.h"
 #include "tests/bake/variants.h"
-#include "tools/world_check.h"
+#include "tools/inspect/world_check.h"
 
 namespace ff::bake::test {
 namespace {

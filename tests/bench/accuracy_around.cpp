@@ -3,8 +3,8 @@
 
 #include "tests/bench/accuracy.h"
 #include "tools/chart/sweep/sweep.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace ff::bench {
 namespace {

@@ -12,7 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include "tests/bench/accuracy.h"
-#include "tools/view_camera.h"
+#include "tools/view/camera.h"
 
 namespace ff::bench {
 

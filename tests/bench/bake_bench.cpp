@@ -18,8 +18,8 @@
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
 #include "tools/chart/patch_rows.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace {
 

@@ -18,8 +18,8 @@
 #include "formats/reader.h"
 #include "formats/records.h"
 #include "formats/writer.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace {
 

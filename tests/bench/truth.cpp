@@ -5,8 +5,8 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace ff::bench {
 

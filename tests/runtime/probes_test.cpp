@@ -12,8 +12,8 @@
 #include "tests/formats/random_world.h"
 #include "tests/runtime/radiance_oracle.h"
 #include "tests/stream/counted_memory.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_town.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
 
 namespace ff::runtime {
 namespace {

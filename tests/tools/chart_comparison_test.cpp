@@ -8,7 +8,7 @@
 #include "tests/tools/chart_world.h"
 #include "tools/chart/outside.h"
 #include "tools/chart/scene_of_model.h"
-#include "tools/scene_analytic.h"
+#include "tools/scene/analytic.h"
 
 namespace ff::chart {
 namespace {

@@ -6,8 +6,8 @@
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/paper/methods.h"
 #include "tools/chart/scene_of_model.h"
-#include "tools/scene_analytic.h"
-#include "tools/scene_town.h"
+#include "tools/scene/analytic.h"
+#include "tools/scene/town.h"
 
 namespace ff::chart {
 namespace {

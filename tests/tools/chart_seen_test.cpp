@@ -12,7 +12,7 @@
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/truth/area_light.h"
-#include "tools/scene_analytic.h"
+#include "tools/scene/analytic.h"
 
 namespace ff::chart {
 namespace {

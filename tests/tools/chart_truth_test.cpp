@@ -14,7 +14,7 @@
 #include "bake/bake.h"
 #include "tests/bake/analytic_scenes.h"
 #include "tools/chart/scene_of_model.h"
-#include "tools/scene_analytic.h"
+#include "tools/scene/analytic.h"
 
 namespace ff::chart {
 namespace {

@@ -8,7 +8,7 @@
 
 #include "formats/reader.h"
 #include "tests/formats/furnace_world.h"
-#include "tools/world_check.h"
+#include "tools/inspect/world_check.h"
 
 namespace ff::tools {
 namespace {

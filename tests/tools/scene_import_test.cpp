@@ -10,10 +10,10 @@
 #include <vector>
 
 #include "bake/import/gltf_import.h"
-#include "tools/scene_analytic.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_kinds.h"
-#include "tools/scene_town.h"
+#include "tools/scene/analytic.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/kinds.h"
+#include "tools/scene/town.h"
 
 namespace ff::tools {
 namespace {

@@ -8,11 +8,11 @@
 #include <set>
 #include <tuple>
 
-#include "tools/scene_analytic.h"
-#include "tools/scene_camera.h"
-#include "tools/scene_glb.h"
-#include "tools/scene_kinds.h"
-#include "tools/scene_town.h"
+#include "tools/scene/analytic.h"
+#include "tools/scene/camera.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/kinds.h"
+#include "tools/scene/town.h"
 
 namespace ff::tools {
 namespace {

@@ -1,4 +1,4 @@
-#include "tools/view_camera.h"
+#include "tools/view/camera.h"
 
 #include <gtest/gtest.h>
 

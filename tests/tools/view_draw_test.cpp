@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "tests/tools/view_scenes.h"
-#include "tools/view_renderer.h"
+#include "tools/view/renderer.h"
 
 namespace ff::view {
 namespace {

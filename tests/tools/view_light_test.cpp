@@ -1,8 +1,8 @@
-#include "tools/view_light.h"
-#include "tests/runtime/hand_made.h"
+#include "tools/view/light.h"
 
 #include <gtest/gtest.h>
 
+#include "tests/runtime/hand_made.h"
 #include "tests/tools/view_scenes.h"
 
 namespace ff::view {

@@ -1,5 +1,5 @@
 // The file's lights on patches, against E = I cos / r^2 and what stands in the way.
-#include "tools/view_lights.h"
+#include "tools/view/lights.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "tools/view_picture.h"
+#include "tools/view/picture.h"
 
 #include <gtest/gtest.h>
 

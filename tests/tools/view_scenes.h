@@ -1,6 +1,6 @@
 // Small scenes made by hand: rectangles cut into square patches.
 #pragma once
-#include "tools/view_scene.h"
+#include "tools/view/scene.h"
 
 namespace ff::view {
 

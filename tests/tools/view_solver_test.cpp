@@ -1,4 +1,4 @@
-#include "tools/view_solver.h"
+#include "tools/view/solver.h"
 
 #include <gtest/gtest.h>
 

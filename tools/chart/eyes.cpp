@@ -1,6 +1,6 @@
 #include "tools/chart/eyes.h"
 
-#include "tools/view_camera.h"
+#include "tools/view/camera.h"
 
 namespace ff::chart {
 namespace {

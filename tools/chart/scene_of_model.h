@@ -1,7 +1,7 @@
 // A generated scene as the baker takes it, without the detour over a file.
 #pragma once
 #include "bake/scene.h"
-#include "tools/scene_model.h"
+#include "tools/scene/model.h"
 
 namespace ff::chart {
 

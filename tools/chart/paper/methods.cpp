@@ -12,7 +12,7 @@
 #include "runtime/solver/worker_pool.h"
 #include "tools/chart/read_bandwidth.h"
 #include "tools/chart/report.h"
-#include "tools/view_picture.h"
+#include "tools/view/picture.h"
 
 namespace ff::chart {
 

@@ -11,7 +11,7 @@
 #include "tools/chart/paper/methods.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/stability/breaking_point.h"
-#include "tools/scene_town.h"
+#include "tools/scene/town.h"
 
 namespace ff::chart {
 namespace {

@@ -14,7 +14,7 @@
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/stability/albedo_axis.h"
 #include "tools/chart/stability/parts.h"
-#include "tools/scene_analytic.h"
+#include "tools/scene/analytic.h"
 
 namespace ff::chart {
 

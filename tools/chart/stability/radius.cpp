@@ -8,7 +8,7 @@
 #include "tools/chart/neighbourhood.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/stability/parts.h"
-#include "tools/scene_town.h"
+#include "tools/scene/town.h"
 
 namespace ff::chart {
 

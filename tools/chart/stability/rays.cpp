@@ -10,8 +10,8 @@
 #include "tools/chart/patch_rows.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/chart/stability/parts.h"
-#include "tools/scene_analytic.h"
-#include "tools/scene_town.h"
+#include "tools/scene/analytic.h"
+#include "tools/scene/town.h"
 
 namespace ff::chart {
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "tools/chart/sweep/measured_world.h"
-#include "tools/view_picture.h"
+#include "tools/view/picture.h"
 
 namespace ff::chart {
 
