@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {

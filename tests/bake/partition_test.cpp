@@ -6,7 +6,7 @@
 
 #include "bake/light/form_factor.h"
 #include "bake/surface/patches.h"
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <set>
 
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {

@@ -8,7 +8,7 @@
 #include "bake/matrix/pool.h"
 #include "bake/matrix/pyramid.h"
 #include "bake/matrix/row_sampling.h"
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {

@@ -7,7 +7,7 @@
 #include <numbers>
 
 #include "bake/rays/sobol.h"
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake {
 namespace {

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "bake/cleanup/scene_cleanup.h"
-#include "tests/bake/analytic_scenes.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 

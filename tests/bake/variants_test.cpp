@@ -12,7 +12,7 @@
 
 #include "bake/estimate.h"
 #include "bake/not_modelled.h"
-#include "tests/bake/gltf_file.h"
+#include "tests/bake/import/gltf_file.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {

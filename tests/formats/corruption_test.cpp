@@ -12,7 +12,7 @@
 #include "formats/reader.h"
 #include "formats/records.h"
 #include "formats/writer.h"
-#include "tests/formats/random_world.h"
+#include "tests/support/random_world.h"
 
 namespace ff::formats {
 namespace {

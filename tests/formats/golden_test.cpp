@@ -9,7 +9,7 @@
 #include <sstream>
 
 #include "formats/reader.h"
-#include "tests/formats/furnace_world.h"
+#include "tests/support/furnace_world.h"
 
 namespace ff::formats {
 namespace {

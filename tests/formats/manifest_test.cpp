@@ -8,7 +8,7 @@
 #include "formats/checksum.h"
 #include "formats/manifest.h"
 #include "formats/reader.h"
-#include "tests/formats/furnace_world.h"
+#include "tests/support/furnace_world.h"
 
 namespace ff::formats {
 namespace {

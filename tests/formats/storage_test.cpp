@@ -10,7 +10,7 @@
 #include "formats/reader.h"
 #include "formats/writer.h"
 #include "tests/formats/faulty_storage.h"
-#include "tests/formats/random_world.h"
+#include "tests/support/random_world.h"
 
 namespace ff::formats {
 namespace {

@@ -10,7 +10,7 @@
 #include "formats/records.h"
 #include "formats/strip_codec.h"
 #include "formats/writer.h"
-#include "tests/formats/random_world.h"
+#include "tests/support/random_world.h"
 
 namespace ff::formats {
 namespace {

@@ -8,7 +8,7 @@
 #include "formats/parent_links.h"
 #include "formats/reader.h"
 #include "formats/writer.h"
-#include "tests/formats/furnace_world.h"
+#include "tests/support/furnace_world.h"
 
 namespace ff::formats {
 namespace {

@@ -4,8 +4,8 @@
 
 #include <fstream>
 
-#include "tests/formats/random_world.h"
-#include "tests/runtime/hand_made.h"
+#include "tests/support/hand_made.h"
+#include "tests/support/random_world.h"
 
 namespace ff::runtime {
 namespace {

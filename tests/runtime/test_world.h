@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
-#include "tests/stream/synthetic_world.h"
+#include "tests/support/synthetic_world.h"
 
 namespace ff::runtime {
 

@@ -1,7 +1,7 @@
 # The Vulkan tests run on lavapipe where its driver file is found, so that they mean the same on every machine and
 # vkCreateInstance does not probe hardware drivers; once per subgroup size that lavapipe can take (4, 8, 16 lanes).
 file(GLOB FF_LAVAPIPE /usr/share/vulkan/icd.d/lvp_icd.*.json)
-ff_test(range_allocator_test range_allocator_test.cpp LIBS ff_runtime_vulkan)
+ff_test(range_allocator_test cut/range_allocator_test.cpp LIBS ff_runtime_vulkan)
 function(ff_vulkan_test name source)
   cmake_parse_arguments(VT "" "" "WIDTHS;LIBS" ${ARGN})
   add_executable(${name} ${source})
@@ -16,13 +16,13 @@ function(ff_vulkan_test name source)
       SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\]")
   endforeach()
 endfunction()
-ff_vulkan_test(vk_device_test vk_device_test.cpp WIDTHS 256)
-ff_vulkan_test(vk_gather_test vk_gather_test.cpp WIDTHS 128 256 512)
-ff_vulkan_test(vk_bounce_matrix_test vk_bounce_matrix_test.cpp WIDTHS 128 256 512)
-ff_vulkan_test(vk_resolve_test vk_resolve_test.cpp WIDTHS 128 256 512 LIBS ff_synthetic_world)
-ff_vulkan_test(vk_dense_step_test vk_dense_step_test.cpp WIDTHS 128 512 LIBS ff_synthetic_world)
+ff_vulkan_test(vk_device_test vulkan/device_test.cpp WIDTHS 256)
+ff_vulkan_test(vk_gather_test gather/vk_gather_test.cpp WIDTHS 128 256 512)
+ff_vulkan_test(vk_bounce_matrix_test dense/vk_bounce_matrix_test.cpp WIDTHS 128 256 512)
+ff_vulkan_test(vk_resolve_test gather/vk_resolve_test.cpp WIDTHS 128 256 512 LIBS ff_synthetic_world)
+ff_vulkan_test(vk_dense_step_test dense/vk_dense_step_test.cpp WIDTHS 128 512 LIBS ff_synthetic_world)
 target_sources(vk_dense_step_test PRIVATE $<TARGET_OBJECTS:ff_counted_memory>)
-add_executable(formfield_vulkan_test formfield_vulkan_test.cpp)
+add_executable(formfield_vulkan_test api/formfield_vulkan_test.cpp)
 # formfield_vulkan.h names its neighbour as an installed header does.
 target_include_directories(formfield_vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime/api)
 target_link_libraries(formfield_vulkan_test PRIVATE ff_options ff_formfield_vulkan ff_runtime_vulkan ff_synthetic_world Vulkan::Vulkan

@@ -12,7 +12,7 @@
 #include <thread>
 
 #include "formats/memory_storage.h"
-#include "tests/stream/synthetic_world.h"
+#include "tests/support/synthetic_world.h"
 
 namespace ff::stream {
 namespace {

@@ -6,9 +6,9 @@
 
 #include "stream/file_source.h"
 #include "stream/streamer.h"
-#include "tests/stream/counted_memory.h"
-#include "tests/stream/synthetic_world.h"
 #include "tests/stream/test_sources.h"
+#include "tests/support/counted_memory.h"
+#include "tests/support/synthetic_world.h"
 
 namespace ff::stream {
 namespace {

@@ -9,9 +9,9 @@
 
 #include "stream/file_source.h"
 #include "stream/wanted_tiles.h"
-#include "tests/formats/furnace_world.h"
-#include "tests/stream/synthetic_world.h"
 #include "tests/stream/test_sources.h"
+#include "tests/support/furnace_world.h"
+#include "tests/support/synthetic_world.h"
 
 namespace ff::stream {
 namespace {

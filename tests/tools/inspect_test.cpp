@@ -7,7 +7,7 @@
 #include <sstream>
 
 #include "formats/reader.h"
-#include "tests/formats/furnace_world.h"
+#include "tests/support/furnace_world.h"
 #include "tools/inspect/world_check.h"
 
 namespace ff::tools {
