@@ -118,7 +118,7 @@ class VulkanGather final : public VulkanRecorder {
   VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
-  VkQueryPool queries_ = VK_NULL_HANDLE;                       // kQueries a frame in flight
+  Handle<VkQueryPool, vkDestroyQueryPool> queries_;             // kQueries a frame in flight
   uint64_t segment_bytes_ = 0;
   uint32_t segments_ = 1;
 
@@ -144,7 +144,6 @@ class VulkanGather final : public VulkanRecorder {
 VulkanGather::~VulkanGather() {
   // Command buffers of the caller's may still be under way: a FallbackSolver drops this solver in the middle of a flight.
   vkDeviceWaitIdle(context_->device());
-  if (queries_) vkDestroyQueryPool(context_->device(), queries_, nullptr);
 }
 
 Result<void> VulkanGather::start() {
@@ -179,7 +178,7 @@ Result<void> VulkanGather::start() {
     auto info = zeroed<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
     info.queryType = VK_QUERY_TYPE_TIMESTAMP;
     info.queryCount = kQueries * settings_.frames_in_flight;
-    if (const VkResult r = vkCreateQueryPool(context_->device(), &info, nullptr, &queries_); r != VK_SUCCESS)
+    if (const VkResult r = vkCreateQueryPool(context_->device(), &info, nullptr, queries_.create(context_->device())); r != VK_SUCCESS)
       return vkError("vkCreateQueryPool", r);
   }
   auto cleared = context_->run([&](VkCommandBuffer c) {

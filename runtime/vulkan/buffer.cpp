@@ -16,11 +16,6 @@ VkHeap::VkHeap(VkContext& context) : context_(context) {
   vkGetPhysicalDeviceMemoryProperties(context.physicalDevice(), &properties_);
 }
 
-VkHeap::~VkHeap() {
-  for (const auto& b : blocks_)
-    if (b) vkFreeMemory(context_.device(), b->memory, nullptr);
-}
-
 Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse use, bool linear) {
   const VkMemoryPropertyFlags wanted = use == MemoryUse::kDevice
                                            ? VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT
@@ -38,7 +33,7 @@ Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse
     Block* b = blocks_[i].get();
     if (!b || b->type != type || b->linear != linear || (use == MemoryUse::kHost) != (b->mapped != nullptr)) continue;
     if (const auto at = b->ranges.allocate(needs.size, needs.alignment))
-      return Allocation{b->memory, *at, needs.size, b->mapped ? b->mapped + *at : nullptr, i};
+      return allocationOf(i, *at, needs.size);
   }
   auto info = zeroed<VkMemoryAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO);
   uint64_t left = bytesLeft(type);
@@ -51,28 +46,30 @@ Result<Allocation> VkHeap::allocate(const VkMemoryRequirements& needs, MemoryUse
   const uint64_t block_bytes = context_.memoryBytes() ? std::min(kBlockBytes, context_.memoryBytes() / 8) : kBlockBytes;
   info.allocationSize = std::max(needs.size, std::min(block_bytes, left));
   info.memoryTypeIndex = type;
-  VkDeviceMemory memory = VK_NULL_HANDLE;
-  if (const VkResult r = vkAllocateMemory(context_.device(), &info, nullptr, &memory); r != VK_SUCCESS)
+  const VkDevice device = context_.device();
+  Handle<VkDeviceMemory, vkFreeMemory> memory;
+  if (const VkResult r = vkAllocateMemory(device, &info, nullptr, memory.create(device)); r != VK_SUCCESS)
     return vkError("vkAllocateMemory", r);
   void* mapped = nullptr;
-  if (use == MemoryUse::kHost) {
-    if (const VkResult r = vkMapMemory(context_.device(), memory, 0, VK_WHOLE_SIZE, 0, &mapped); r != VK_SUCCESS) {
-      vkFreeMemory(context_.device(), memory, nullptr);
+  if (use == MemoryUse::kHost)
+    if (const VkResult r = vkMapMemory(device, memory, 0, VK_WHOLE_SIZE, 0, &mapped); r != VK_SUCCESS)
       return vkError("vkMapMemory", r);
-    }
-  }
   allocated_bytes_ += info.allocationSize;
-  auto block = std::make_unique<Block>(Block{memory, type, linear, static_cast<std::byte*>(mapped), info.allocationSize,
-                                             RangeAllocator(info.allocationSize)});
+  auto block = std::make_unique<Block>(Block{std::move(memory), type, linear, static_cast<std::byte*>(mapped),
+                                             info.allocationSize, RangeAllocator(info.allocationSize)});
   const auto at = block->ranges.allocate(needs.size, needs.alignment);
   const auto hole = std::find(blocks_.begin(), blocks_.end(), nullptr);
   const auto index = static_cast<size_t>(hole - blocks_.begin());
-  const Allocation a{memory, *at, needs.size, block->mapped ? block->mapped + *at : nullptr, index};
   if (hole == blocks_.end())
     blocks_.push_back(std::move(block));
   else
     *hole = std::move(block);
-  return a;
+  return allocationOf(index, *at, needs.size);
+}
+
+Allocation VkHeap::allocationOf(size_t block, uint64_t offset, uint64_t size) {
+  const Block& b = *blocks_[block];
+  return {*this, b.memory, offset, size, b.mapped ? b.mapped + offset : nullptr, block};
 }
 
 uint64_t VkHeap::bytesLeft(uint32_t type) const {
@@ -87,7 +84,6 @@ uint64_t VkHeap::bytesLeft(uint32_t type) const {
 }
 
 void VkHeap::freeBlock(std::unique_ptr<Block>& block) {
-  vkFreeMemory(context_.device(), block->memory, nullptr);
   allocated_bytes_ -= block->size;
   block.reset();
 }
@@ -98,48 +94,49 @@ void VkHeap::freeEmptyBlocks() {
 }
 
 void VkHeap::release(const Allocation& allocation) {
-  Block* b = blocks_[allocation.block].get();
-  b->ranges.release(allocation.offset, allocation.size);
+  Block* b = blocks_[allocation.block_].get();
+  b->ranges.release(allocation.offset_, allocation.size_);
   if (!b->ranges.empty() || b->size <= kBlockBytes) return;  // ordinary blocks are kept for the next request
-  freeBlock(blocks_[allocation.block]);
+  freeBlock(blocks_[allocation.block_]);
+}
+
+Allocation::~Allocation() {
+  if (heap_) heap_->release(*this);
+}
+
+void Allocation::swap(Allocation& other) noexcept {
+  std::swap(heap_, other.heap_);
+  std::swap(memory_, other.memory_);
+  std::swap(offset_, other.offset_);
+  std::swap(size_, other.size_);
+  std::swap(mapped_, other.mapped_);
+  std::swap(block_, other.block_);
 }
 
 Result<Buffer> Buffer::create(VkContext& context, uint64_t bytes, VkBufferUsageFlags usage, MemoryUse use) {
+  const VkDevice device = context.device();
   Buffer b;
-  b.context_ = &context;
   b.bytes_ = bytes;
   auto info = zeroed<VkBufferCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO);
   info.size = bytes;
   info.usage = usage | VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-  if (const VkResult r = vkCreateBuffer(context.device(), &info, nullptr, &b.buffer_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateBuffer(device, &info, nullptr, b.buffer_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateBuffer", r);
   VkMemoryRequirements needs;
-  vkGetBufferMemoryRequirements(context.device(), b.buffer_, &needs);
+  vkGetBufferMemoryRequirements(device, b.buffer_, &needs);
   auto a = context.heap().allocate(needs, use, /*linear=*/true);
   if (!a) return a.error();
-  b.allocation_ = *a;
-  if (const VkResult r = vkBindBufferMemory(context.device(), b.buffer_, a->memory, a->offset); r != VK_SUCCESS)
+  b.allocation_ = std::move(*a);
+  if (const VkResult r = vkBindBufferMemory(device, b.buffer_, b.allocation_.memory(), b.allocation_.offset());
+      r != VK_SUCCESS)
     return vkError("vkBindBufferMemory", r);
   return b;
 }
 
-Buffer::~Buffer() {
-  if (!context_) return;
-  vkDestroyBuffer(context_->device(), buffer_, nullptr);
-  if (allocation_.memory) context_->heap().release(allocation_);
-}
-
-void Buffer::swap(Buffer& other) noexcept {
-  std::swap(context_, other.context_);
-  std::swap(buffer_, other.buffer_);
-  std::swap(allocation_, other.allocation_);
-  std::swap(bytes_, other.bytes_);
-}
-
 Result<Image> Image::create(VkContext& context, VkExtent2D extent, VkFormat format, VkImageUsageFlags usage,
                             VkImageAspectFlags aspect) {
+  const VkDevice device = context.device();
   Image i;
-  i.context_ = &context;
   i.extent_ = extent;
   i.format_ = format;
   auto info = zeroed<VkImageCreateInfo>(VK_STRUCTURE_TYPE_IMAGE_CREATE_INFO);
@@ -150,39 +147,24 @@ Result<Image> Image::create(VkContext& context, VkExtent2D extent, VkFormat form
   info.samples = VK_SAMPLE_COUNT_1_BIT;
   info.tiling = VK_IMAGE_TILING_OPTIMAL;
   info.usage = usage;
-  if (const VkResult r = vkCreateImage(context.device(), &info, nullptr, &i.image_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateImage(device, &info, nullptr, i.image_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateImage", r);
   VkMemoryRequirements needs;
-  vkGetImageMemoryRequirements(context.device(), i.image_, &needs);
+  vkGetImageMemoryRequirements(device, i.image_, &needs);
   auto a = context.heap().allocate(needs, MemoryUse::kDevice, /*linear=*/false);
   if (!a) return a.error();
-  i.allocation_ = *a;
-  if (const VkResult r = vkBindImageMemory(context.device(), i.image_, a->memory, a->offset); r != VK_SUCCESS)
+  i.allocation_ = std::move(*a);
+  if (const VkResult r = vkBindImageMemory(device, i.image_, i.allocation_.memory(), i.allocation_.offset());
+      r != VK_SUCCESS)
     return vkError("vkBindImageMemory", r);
   auto view = zeroed<VkImageViewCreateInfo>(VK_STRUCTURE_TYPE_IMAGE_VIEW_CREATE_INFO);
   view.image = i.image_;
   view.viewType = VK_IMAGE_VIEW_TYPE_2D;
   view.format = format;
   view.subresourceRange = {aspect, 0, 1, 0, 1};
-  if (const VkResult r = vkCreateImageView(context.device(), &view, nullptr, &i.view_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateImageView(device, &view, nullptr, i.view_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateImageView", r);
   return i;
-}
-
-Image::~Image() {
-  if (!context_) return;
-  vkDestroyImageView(context_->device(), view_, nullptr);
-  vkDestroyImage(context_->device(), image_, nullptr);
-  if (allocation_.memory) context_->heap().release(allocation_);
-}
-
-void Image::swap(Image& other) noexcept {
-  std::swap(context_, other.context_);
-  std::swap(image_, other.image_);
-  std::swap(view_, other.view_);
-  std::swap(allocation_, other.allocation_);
-  std::swap(extent_, other.extent_);
-  std::swap(format_, other.format_);
 }
 
 Result<void> upload(VkContext& context, const Buffer& to, uint64_t offset, std::span<const std::byte> bytes) {

@@ -11,44 +11,65 @@
 
 #include "formats/result.h"
 #include "runtime/cut/range_allocator.h"
+#include "runtime/vulkan/handle.h"
 
 namespace ff::runtime {
 
 class VkContext;
+class VkHeap;
 
 enum class MemoryUse {
   kDevice,  // fast for the device, not mapped
   kHost,    // mapped and coherent: staging, read-back
 };
 
-// A range of a block. Returned to its block by VkHeap::release.
-struct Allocation {
-  VkDeviceMemory memory = VK_NULL_HANDLE;
-  uint64_t offset = 0, size = 0;
-  std::byte* mapped = nullptr;  // kHost only
-  size_t block = 0;
+// A range of a block of the heap's, to which it goes back. Move-only.
+class Allocation {
+ public:
+  Allocation() = default;
+  Allocation(Allocation&& other) noexcept { swap(other); }
+  Allocation& operator=(Allocation&& other) noexcept {
+    swap(other);
+    return *this;
+  }
+  ~Allocation();
+  VkDeviceMemory memory() const { return memory_; }
+  uint64_t offset() const { return offset_; }
+  std::byte* mapped() const { return mapped_; }  // kHost only
+
+ private:
+  friend class VkHeap;
+  Allocation(VkHeap& heap, VkDeviceMemory memory, uint64_t offset, uint64_t size, std::byte* mapped, size_t block)
+      : heap_(&heap), memory_(memory), offset_(offset), size_(size), mapped_(mapped), block_(block) {}
+  void swap(Allocation& other) noexcept;
+  VkHeap* heap_ = nullptr;
+  VkDeviceMemory memory_ = VK_NULL_HANDLE;
+  uint64_t offset_ = 0, size_ = 0;
+  std::byte* mapped_ = nullptr;
+  size_t block_ = 0;
 };
 
 // Not thread-safe.
 class VkHeap {
  public:
   explicit VkHeap(VkContext& context);
-  ~VkHeap();
   // Errors (kOutOfDeviceMemory): the device refuses, the heap is full, or the context's memory_bytes would be passed.
   // linear: buffers; otherwise images. The two never share a block, so bufferImageGranularity cannot be violated.
   Result<Allocation> allocate(const VkMemoryRequirements& needs, MemoryUse use, bool linear);
-  void release(const Allocation& allocation);
   uint64_t allocatedBytes() const { return allocated_bytes_; }
 
  private:
+  friend class Allocation;
   struct Block {
-    VkDeviceMemory memory;
+    Handle<VkDeviceMemory, vkFreeMemory> memory;
     uint32_t type;
     bool linear;
     std::byte* mapped;
     uint64_t size;
     RangeAllocator ranges;
   };
+  Allocation allocationOf(size_t block, uint64_t offset, uint64_t size);
+  void release(const Allocation& allocation);
   uint64_t bytesLeft(uint32_t type) const;
   void freeBlock(std::unique_ptr<Block>& block);
   void freeEmptyBlocks();
@@ -64,23 +85,13 @@ class Buffer {
   // bytes > 0; transfer source and destination are always among the usages.
   static Result<Buffer> create(VkContext& context, uint64_t bytes, VkBufferUsageFlags usage,
                                MemoryUse use = MemoryUse::kDevice);
-  Buffer() = default;
-  Buffer(Buffer&& other) noexcept { swap(other); }
-  Buffer& operator=(Buffer&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~Buffer();
-
   VkBuffer handle() const { return buffer_; }
   uint64_t bytes() const { return bytes_; }
-  std::byte* mapped() const { return allocation_.mapped; }
+  std::byte* mapped() const { return allocation_.mapped(); }
 
  private:
-  void swap(Buffer& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkBuffer buffer_ = VK_NULL_HANDLE;
-  Allocation allocation_;
+  Allocation allocation_;  // first: goes last
+  Handle<VkBuffer, vkDestroyBuffer> buffer_;
   uint64_t bytes_ = 0;
 };
 
@@ -89,25 +100,15 @@ class Image {
  public:
   static Result<Image> create(VkContext& context, VkExtent2D extent, VkFormat format, VkImageUsageFlags usage,
                               VkImageAspectFlags aspect);
-  Image() = default;
-  Image(Image&& other) noexcept { swap(other); }
-  Image& operator=(Image&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~Image();
-
   VkImage handle() const { return image_; }
   VkImageView view() const { return view_; }
   VkExtent2D extent() const { return extent_; }
   VkFormat format() const { return format_; }
 
  private:
-  void swap(Image& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkImage image_ = VK_NULL_HANDLE;
-  VkImageView view_ = VK_NULL_HANDLE;
-  Allocation allocation_;
+  Allocation allocation_;  // first: goes last
+  Handle<VkImage, vkDestroyImage> image_;
+  Handle<VkImageView, vkDestroyImageView> view_;
   VkExtent2D extent_{};
   VkFormat format_ = VK_FORMAT_UNDEFINED;
 };

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "formats/result.h"
+#include "runtime/vulkan/handle.h"
 
 namespace ff::runtime {
 
@@ -23,7 +24,8 @@ Count roundUp(Count value, std::type_identity_t<Count> multiple) {
   return groupsOf(value, multiple) * multiple;
 }
 
-Result<VkShaderModule> makeShaderModule(VkContext& context, std::span<const uint32_t> spirv);
+using ShaderModule = Handle<VkShaderModule, vkDestroyShaderModule>;
+Result<ShaderModule> makeShaderModule(VkContext& context, std::span<const uint32_t> spirv);
 
 // One descriptor set of `buffers` storage buffers at bindings 0, 1, ...; one push constant block from offset 0.
 class ComputePipeline {
@@ -31,25 +33,15 @@ class ComputePipeline {
   // variant: of the shader's specialization constant 0, a bool; ignored where it has none.
   static Result<ComputePipeline> create(VkContext& context, std::span<const uint32_t> spirv, uint32_t buffers,
                                         uint32_t push_bytes, bool variant = false);
-  ComputePipeline() = default;
-  ComputePipeline(ComputePipeline&& other) noexcept { swap(other); }
-  ComputePipeline& operator=(ComputePipeline&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~ComputePipeline();
-
   VkDescriptorSetLayout setLayout() const { return set_layout_; }
   uint32_t buffers() const { return buffers_; }
   // Records bind, push and dispatch; groups must not exceed maxComputeWorkGroupCount[0].
   void dispatch(VkCommandBuffer commands, VkDescriptorSet set, const void* push, uint32_t groups) const;
 
  private:
-  void swap(ComputePipeline& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkDescriptorSetLayout set_layout_ = VK_NULL_HANDLE;
-  VkPipelineLayout layout_ = VK_NULL_HANDLE;
-  VkPipeline pipeline_ = VK_NULL_HANDLE;
+  Handle<VkDescriptorSetLayout, vkDestroyDescriptorSetLayout> set_layout_;
+  Handle<VkPipelineLayout, vkDestroyPipelineLayout> layout_;
+  Handle<VkPipeline, vkDestroyPipeline> pipeline_;
   uint32_t buffers_ = 0, push_bytes_ = 0;
 };
 
@@ -57,19 +49,10 @@ class ComputePipeline {
 class StorageSets {
  public:
   static Result<StorageSets> create(VkContext& context, uint32_t max_sets, uint32_t max_buffers);
-  StorageSets() = default;
-  StorageSets(StorageSets&& other) noexcept { swap(other); }
-  StorageSets& operator=(StorageSets&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~StorageSets();
   Result<VkDescriptorSet> make(VkDescriptorSetLayout layout, std::span<const VkDescriptorBufferInfo> buffers);
 
  private:
-  void swap(StorageSets& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkDescriptorPool pool_ = VK_NULL_HANDLE;
+  Handle<VkDescriptorPool, vkDestroyDescriptorPool> pool_;
 };
 
 }  // namespace ff::runtime

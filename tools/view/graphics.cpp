@@ -13,7 +13,7 @@ using runtime::zeroed;
 namespace {
 constexpr VkFormat kDepthFormat = VK_FORMAT_D32_SFLOAT;
 
-Result<VkRenderPass> makePass(VkContext& context, std::span<const VkFormat> colours) {
+Result<Handle<VkRenderPass, vkDestroyRenderPass>> makePass(VkContext& context, std::span<const VkFormat> colours) {
   std::vector<VkAttachmentDescription> attachments;
   std::vector<VkAttachmentReference> references;
   for (const VkFormat format : colours) {
@@ -50,8 +50,8 @@ Result<VkRenderPass> makePass(VkContext& context, std::span<const VkFormat> colo
   info.pSubpasses = &subpass;
   info.dependencyCount = 2;
   info.pDependencies = dependencies;
-  VkRenderPass pass = VK_NULL_HANDLE;
-  if (const VkResult r = vkCreateRenderPass(context.device(), &info, nullptr, &pass); r != VK_SUCCESS)
+  Handle<VkRenderPass, vkDestroyRenderPass> pass;
+  if (const VkResult r = vkCreateRenderPass(context.device(), &info, nullptr, pass.create(context.device())); r != VK_SUCCESS)
     return vkError("vkCreateRenderPass", r);
   return pass;
 }
@@ -60,11 +60,10 @@ Result<VkRenderPass> makePass(VkContext& context, std::span<const VkFormat> colo
 
 Result<Target> Target::create(VkContext& context, VkExtent2D extent, std::span<const VkFormat> colours) {
   Target t;
-  t.context_ = &context;
   t.extent_ = extent;
   auto pass = makePass(context, colours);
   if (!pass) return pass.error();
-  t.pass_ = *pass;
+  t.pass_ = std::move(*pass);
   std::vector<VkImageView> views;
   for (const VkFormat format : colours) {
     auto image = Image::create(context, extent, format,
@@ -87,24 +86,10 @@ Result<Target> Target::create(VkContext& context, VkExtent2D extent, std::span<c
   info.width = extent.width;
   info.height = extent.height;
   info.layers = 1;
-  if (const VkResult r = vkCreateFramebuffer(context.device(), &info, nullptr, &t.framebuffer_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateFramebuffer(context.device(), &info, nullptr, t.framebuffer_.create(context.device()));
+      r != VK_SUCCESS)
     return vkError("vkCreateFramebuffer", r);
   return t;
-}
-
-Target::~Target() {
-  if (!context_) return;
-  vkDestroyFramebuffer(context_->device(), framebuffer_, nullptr);
-  vkDestroyRenderPass(context_->device(), pass_, nullptr);
-}
-
-void Target::swap(Target& other) noexcept {
-  std::swap(context_, other.context_);
-  std::swap(extent_, other.extent_);
-  std::swap(colours_, other.colours_);
-  std::swap(depth_, other.depth_);
-  std::swap(pass_, other.pass_);
-  std::swap(framebuffer_, other.framebuffer_);
 }
 
 void Target::begin(VkCommandBuffer commands, std::span<const VkClearValue> clear) const {
@@ -130,8 +115,8 @@ void Target::copyTo(VkCommandBuffer commands, size_t colour, const Buffer& buffe
 }
 
 Result<GraphicsPipeline> GraphicsPipeline::create(VkContext& context, const Target& target, const GraphicsSpec& spec) {
+  const VkDevice device = context.device();
   GraphicsPipeline p;
-  p.context_ = &context;
   p.push_bytes_ = spec.push_bytes;
   constexpr VkShaderStageFlags kStages = VK_SHADER_STAGE_VERTEX_BIT | VK_SHADER_STAGE_FRAGMENT_BIT;
   std::vector<VkDescriptorSetLayoutBinding> bindings;
@@ -140,24 +125,22 @@ Result<GraphicsPipeline> GraphicsPipeline::create(VkContext& context, const Targ
   auto set = zeroed<VkDescriptorSetLayoutCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
   set.bindingCount = static_cast<uint32_t>(bindings.size());
   set.pBindings = bindings.data();
-  if (const VkResult r = vkCreateDescriptorSetLayout(context.device(), &set, nullptr, &p.set_layout_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateDescriptorSetLayout(device, &set, nullptr, p.set_layout_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateDescriptorSetLayout", r);
+  const VkDescriptorSetLayout set_layout = p.set_layout_;
   const VkPushConstantRange push{kStages, 0, spec.push_bytes};
   auto layout = zeroed<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
   layout.setLayoutCount = 1;
-  layout.pSetLayouts = &p.set_layout_;
+  layout.pSetLayouts = &set_layout;
   layout.pushConstantRangeCount = spec.push_bytes ? 1 : 0;
   layout.pPushConstantRanges = &push;
-  if (const VkResult r = vkCreatePipelineLayout(context.device(), &layout, nullptr, &p.layout_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreatePipelineLayout(device, &layout, nullptr, p.layout_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreatePipelineLayout", r);
 
   auto vertex_module = runtime::makeShaderModule(context, spec.vertex);
   if (!vertex_module) return vertex_module.error();
   auto fragment_module = runtime::makeShaderModule(context, spec.fragment);
-  if (!fragment_module) {
-    vkDestroyShaderModule(context.device(), *vertex_module, nullptr);
-    return fragment_module.error();
-  }
+  if (!fragment_module) return fragment_module.error();
   VkPipelineShaderStageCreateInfo stages[2];
   for (auto& stage : stages) {
     stage = zeroed<VkPipelineShaderStageCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO);
@@ -209,26 +192,10 @@ Result<GraphicsPipeline> GraphicsPipeline::create(VkContext& context, const Targ
   info.pDynamicState = &dynamic;
   info.layout = p.layout_;
   info.renderPass = target.pass();
-  const VkResult r = vkCreateGraphicsPipelines(context.device(), VK_NULL_HANDLE, 1, &info, nullptr, &p.pipeline_);
-  vkDestroyShaderModule(context.device(), *vertex_module, nullptr);
-  vkDestroyShaderModule(context.device(), *fragment_module, nullptr);
-  if (r != VK_SUCCESS) return vkError("vkCreateGraphicsPipelines", r);
+  if (const VkResult r = vkCreateGraphicsPipelines(device, VK_NULL_HANDLE, 1, &info, nullptr, p.pipeline_.create(device));
+      r != VK_SUCCESS)
+    return vkError("vkCreateGraphicsPipelines", r);
   return p;
-}
-
-GraphicsPipeline::~GraphicsPipeline() {
-  if (!context_) return;
-  vkDestroyPipeline(context_->device(), pipeline_, nullptr);
-  vkDestroyPipelineLayout(context_->device(), layout_, nullptr);
-  vkDestroyDescriptorSetLayout(context_->device(), set_layout_, nullptr);
-}
-
-void GraphicsPipeline::swap(GraphicsPipeline& other) noexcept {
-  std::swap(context_, other.context_);
-  std::swap(set_layout_, other.set_layout_);
-  std::swap(layout_, other.layout_);
-  std::swap(pipeline_, other.pipeline_);
-  std::swap(push_bytes_, other.push_bytes_);
 }
 
 void GraphicsPipeline::bind(VkCommandBuffer commands, VkDescriptorSet set, const void* push) const {
@@ -240,8 +207,8 @@ void GraphicsPipeline::bind(VkCommandBuffer commands, VkDescriptorSet set, const
 
 Result<DrawingSet> DrawingSet::create(VkContext& context, VkDescriptorSetLayout layout,
                                       std::span<const VkDescriptorType> bindings) {
+  const VkDevice device = context.device();
   DrawingSet d;
-  d.context_ = &context;
   std::map<VkDescriptorType, uint32_t> counts;
   for (const VkDescriptorType type : bindings) ++counts[type];
   std::vector<VkDescriptorPoolSize> sizes;
@@ -250,32 +217,19 @@ Result<DrawingSet> DrawingSet::create(VkContext& context, VkDescriptorSetLayout 
   pool.maxSets = 1;
   pool.poolSizeCount = static_cast<uint32_t>(sizes.size());
   pool.pPoolSizes = sizes.data();
-  if (const VkResult r = vkCreateDescriptorPool(context.device(), &pool, nullptr, &d.pool_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateDescriptorPool(device, &pool, nullptr, d.pool_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateDescriptorPool", r);
   auto info = zeroed<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
   info.descriptorPool = d.pool_;
   info.descriptorSetCount = 1;
   info.pSetLayouts = &layout;
-  if (const VkResult r = vkAllocateDescriptorSets(context.device(), &info, &d.set_); r != VK_SUCCESS)
+  if (const VkResult r = vkAllocateDescriptorSets(device, &info, &d.set_); r != VK_SUCCESS)
     return vkError("vkAllocateDescriptorSets", r);
   auto sampler = zeroed<VkSamplerCreateInfo>(VK_STRUCTURE_TYPE_SAMPLER_CREATE_INFO);
   sampler.addressModeU = sampler.addressModeV = sampler.addressModeW = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
-  if (const VkResult r = vkCreateSampler(context.device(), &sampler, nullptr, &d.sampler_); r != VK_SUCCESS)
+  if (const VkResult r = vkCreateSampler(device, &sampler, nullptr, d.sampler_.create(device)); r != VK_SUCCESS)
     return vkError("vkCreateSampler", r);
   return d;
-}
-
-DrawingSet::~DrawingSet() {
-  if (!context_) return;
-  vkDestroySampler(context_->device(), sampler_, nullptr);
-  vkDestroyDescriptorPool(context_->device(), pool_, nullptr);
-}
-
-void DrawingSet::swap(DrawingSet& other) noexcept {
-  std::swap(context_, other.context_);
-  std::swap(pool_, other.pool_);
-  std::swap(sampler_, other.sampler_);
-  std::swap(set_, other.set_);
 }
 
 void DrawingSet::setBuffer(uint32_t binding, const Buffer& buffer) {
@@ -286,7 +240,7 @@ void DrawingSet::setBuffer(uint32_t binding, const Buffer& buffer) {
   write.descriptorCount = 1;
   write.descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
   write.pBufferInfo = &range;
-  vkUpdateDescriptorSets(context_->device(), 1, &write, 0, nullptr);
+  vkUpdateDescriptorSets(pool_.device(), 1, &write, 0, nullptr);
 }
 
 void DrawingSet::setImage(uint32_t binding, const Image& image) {
@@ -297,7 +251,7 @@ void DrawingSet::setImage(uint32_t binding, const Image& image) {
   write.descriptorCount = 1;
   write.descriptorType = VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER;
   write.pImageInfo = &sampled;
-  vkUpdateDescriptorSets(context_->device(), 1, &write, 0, nullptr);
+  vkUpdateDescriptorSets(pool_.device(), 1, &write, 0, nullptr);
 }
 
 }  // namespace ff::view

@@ -12,6 +12,7 @@
 namespace ff::view {
 
 using runtime::Buffer;
+using runtime::Handle;
 using runtime::Image;
 using runtime::VkContext;
 
@@ -19,13 +20,6 @@ using runtime::VkContext;
 class Target {
  public:
   static Result<Target> create(VkContext& context, VkExtent2D extent, std::span<const VkFormat> colours);
-  Target() = default;
-  Target(Target&& other) noexcept { swap(other); }
-  Target& operator=(Target&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~Target();
 
   // clear: one per colour image, then depth.
   void begin(VkCommandBuffer commands, std::span<const VkClearValue> clear) const;
@@ -37,13 +31,11 @@ class Target {
   const Image& depth() const { return depth_; }
 
  private:
-  void swap(Target& other) noexcept;
-  VkContext* context_ = nullptr;
   VkExtent2D extent_{};
   std::vector<Image> colours_;
   Image depth_;
-  VkRenderPass pass_ = VK_NULL_HANDLE;
-  VkFramebuffer framebuffer_ = VK_NULL_HANDLE;
+  Handle<VkRenderPass, vkDestroyRenderPass> pass_;
+  Handle<VkFramebuffer, vkDestroyFramebuffer> framebuffer_;
 };
 
 struct GraphicsSpec {
@@ -61,23 +53,14 @@ struct GraphicsSpec {
 class GraphicsPipeline {
  public:
   static Result<GraphicsPipeline> create(VkContext& context, const Target& target, const GraphicsSpec& spec);
-  GraphicsPipeline() = default;
-  GraphicsPipeline(GraphicsPipeline&& other) noexcept { swap(other); }
-  GraphicsPipeline& operator=(GraphicsPipeline&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~GraphicsPipeline();
 
   VkDescriptorSetLayout setLayout() const { return set_layout_; }
   void bind(VkCommandBuffer commands, VkDescriptorSet set, const void* push) const;
 
  private:
-  void swap(GraphicsPipeline& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkDescriptorSetLayout set_layout_ = VK_NULL_HANDLE;
-  VkPipelineLayout layout_ = VK_NULL_HANDLE;
-  VkPipeline pipeline_ = VK_NULL_HANDLE;
+  Handle<VkDescriptorSetLayout, vkDestroyDescriptorSetLayout> set_layout_;
+  Handle<VkPipelineLayout, vkDestroyPipelineLayout> layout_;
+  Handle<VkPipeline, vkDestroyPipeline> pipeline_;
   uint32_t push_bytes_ = 0;
 };
 
@@ -86,22 +69,13 @@ class DrawingSet {
  public:
   static Result<DrawingSet> create(VkContext& context, VkDescriptorSetLayout layout,
                                    std::span<const VkDescriptorType> bindings);
-  DrawingSet() = default;
-  DrawingSet(DrawingSet&& other) noexcept { swap(other); }
-  DrawingSet& operator=(DrawingSet&& other) noexcept {
-    swap(other);
-    return *this;
-  }
-  ~DrawingSet();
   VkDescriptorSet handle() const { return set_; }
   void setBuffer(uint32_t binding, const Buffer& buffer);
   void setImage(uint32_t binding, const Image& image);  // in VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL when used
 
  private:
-  void swap(DrawingSet& other) noexcept;
-  VkContext* context_ = nullptr;
-  VkDescriptorPool pool_ = VK_NULL_HANDLE;
-  VkSampler sampler_ = VK_NULL_HANDLE;
+  Handle<VkDescriptorPool, vkDestroyDescriptorPool> pool_;
+  Handle<VkSampler, vkDestroySampler> sampler_;
   VkDescriptorSet set_ = VK_NULL_HANDLE;
 };
 
