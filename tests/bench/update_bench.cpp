@@ -17,6 +17,7 @@ namespace {
 using namespace ff;
 using namespace ff::bench;
 using namespace ff::runtime;
+using namespace ff::walks;
 
 std::string number(double x) {
   char text[32];

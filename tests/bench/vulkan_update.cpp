@@ -15,6 +15,7 @@ namespace ff::bench {
 namespace {
 
 using namespace ff::runtime;
+using namespace ff::walks;
 
 // A node leaves and enters: ms by the device's clock, in blocks of `block`.
 double msPerNode(BounceMatrix& matrix, Placement& at, uint32_t block, uint32_t first, int repeats) {

@@ -7,6 +7,7 @@
 namespace ff::chart {
 
 using namespace runtime;
+using namespace walks;
 
 uint32_t Neighbourhood::activePatches() const {
   uint32_t patches = 0;

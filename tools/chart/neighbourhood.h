@@ -32,7 +32,7 @@ Result<void> lightUp(const Neighbourhood& there, runtime::Solver& solver);  // w
 // The active patches of a neighbourhood. Beyond them the truth's mean radiosity, the constant's best value.
 struct LocalPatches {
   runtime::LocalMatrix matrix;  // FarLight::kConstant
-  runtime::PatchSet set;
+  walks::PatchSet set;
   std::vector<uint32_t> slots;             // of the patches, in order
   std::vector<runtime::Vec4> source;       // by patch: M and what the constant adds
   std::vector<runtime::Vec4> slot_source;  // by slot: M alone
@@ -42,10 +42,10 @@ struct LocalPatches {
 Result<LocalPatches> localPatches(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there);
 
 // Patches 0 .. patches - 1 enter in blocks.
-Result<void> fillMatrix(runtime::BounceMatrix& matrix, runtime::Placement& placement, uint32_t patches, uint32_t block);
+Result<void> fillMatrix(runtime::BounceMatrix& matrix, walks::Placement& placement, uint32_t patches, uint32_t block);
 
 // Radiosity by slot of local.matrix from one product (bounces included) with a matrix that holds all patches.
-Result<std::vector<runtime::Vec4>> relitRadiosity(const LocalPatches& local, const runtime::Placement& placement,
+Result<std::vector<runtime::Vec4>> relitRadiosity(const LocalPatches& local, const walks::Placement& placement,
                                                   runtime::BounceMatrix& matrix);
 
 // Bytes that one step of gather must read: entries with their padding, and what it keeps by row.

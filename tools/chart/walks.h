@@ -12,7 +12,10 @@
 
 #include "runtime/dense/bounce_matrix.h"
 
-namespace ff::runtime {
+namespace ff::walks {
+
+using runtime::EnteringBlock;
+using runtime::Vec4;
 
 // One row: (column, form factor), columns ascending.
 using FormFactorRow = std::vector<std::pair<uint32_t, float>>;
@@ -336,4 +339,4 @@ class Walk {
   std::vector<uint8_t> in_;
 };
 
-}  // namespace ff::runtime
+}  // namespace ff::walks

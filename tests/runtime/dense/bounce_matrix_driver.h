@@ -6,6 +6,8 @@
 
 namespace ff::runtime {
 
+using namespace walks;
+
 inline std::vector<Vec4> relit(BounceMatrix& matrix, std::span<const Vec4> source) {
   std::vector<Vec4> irradiance(matrix.capacity(), Vec4{7, 7, 7, 0});
   const auto done = matrix.relight(source, irradiance);

@@ -19,6 +19,8 @@
 namespace ff::runtime {
 namespace {
 
+using namespace walks;
+
 std::vector<uint32_t> numbers(uint32_t first, uint32_t count) {
   std::vector<uint32_t> list(count);
   std::iota(list.begin(), list.end(), first);

@@ -11,8 +11,8 @@
 namespace ff::chart {
 namespace {
 
-using runtime::SceneKind;
-using runtime::WalkKind;
+using walks::SceneKind;
+using walks::WalkKind;
 
 const Measured& find(const std::vector<Measured>& all, const std::string& method) {
   for (const Measured& m : all)
@@ -65,7 +65,7 @@ TEST(BreakingPoint, DrawsALineUpToWhereItLeavesTheChart) {
 
 TEST(WalkMatrix, KeepsRowSumsWhenItCountsAndLosesNoEntry) {
   for (const SceneKind kind : {SceneKind::kCorridor, SceneKind::kClosedBox, SceneKind::kEnclosures}) {
-    const auto rows = runtime::makeRows({.kind = kind, .patches = 128, .entries_per_row = 30});
+    const auto rows = walks::makeRows({.kind = kind, .patches = 128, .entries_per_row = 30});
     const auto counted = quantised(rows);
     for (size_t i = 0; i < rows.size(); ++i) {
       ASSERT_EQ(rows[i].size(), counted[i].size());
@@ -82,16 +82,16 @@ TEST(WalkMatrix, KeepsRowSumsWhenItCountsAndLosesNoEntry) {
 
 // Two ways to one answer: elimination and Gauss-Seidel.
 TEST(WalkMatrix, EliminationAndIterationAgree) {
-  const runtime::PatchSet set = quantisedScene({.patches = 60, .entries_per_row = 20});
-  const std::vector<runtime::Vec4> light = runtime::randomLight(60, 3);
+  const walks::PatchSet set = quantisedScene({.patches = 60, .entries_per_row = 20});
+  const std::vector<runtime::Vec4> light = walks::randomLight(60, 3);
   std::vector<uint32_t> present(40);
   std::iota(present.begin(), present.end(), 10u);
-  const std::vector<runtime::Rgb> direct = exactReflected(set, present, light);
-  runtime::Placement at(set, 40);
+  const std::vector<walks::Rgb> direct = exactReflected(set, present, light);
+  walks::Placement at(set, 40);
   (void)at.enter(present);
   std::vector<runtime::Vec4> source(40);
   for (const uint32_t p : present) source[at.place(p)] = light[p];
-  const std::vector<runtime::Rgb> e = exactIrradiance(at, source);
+  const std::vector<walks::Rgb> e = exactIrradiance(at, source);
   for (const uint32_t p : present)
     EXPECT_NEAR(direct[p][1], static_cast<double>(set.albedo[p].y) * e[at.place(p)][1], 1e-11) << p;
 }

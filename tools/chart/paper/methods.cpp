@@ -17,6 +17,7 @@
 namespace ff::chart {
 
 using namespace runtime;
+using namespace walks;
 
 namespace {
 

@@ -13,6 +13,7 @@
 namespace ff::chart {
 
 using namespace runtime;
+using namespace walks;
 
 namespace {
 

@@ -14,6 +14,7 @@
 namespace ff::chart {
 
 using namespace runtime;
+using namespace walks;
 
 namespace {
 

@@ -16,8 +16,8 @@ struct StabilityPart {
 // Swaps of patches, in scenes that are numbers alone (walks.h).
 struct WalkCase {
   std::string name;
-  runtime::SceneSettings scene;
-  runtime::WalkKind kind = runtime::WalkKind::kStraight;
+  walks::SceneSettings scene;
+  walks::WalkKind kind = walks::WalkKind::kStraight;
   uint32_t places = 256, block = 32;
   uint32_t swaps = 0;
   uint32_t seed_swaps = 0;  // likewise, of the seed's method; 0: it is left out

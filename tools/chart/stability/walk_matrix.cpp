@@ -9,6 +9,7 @@
 namespace ff::chart {
 
 using namespace runtime;
+using namespace walks;
 
 namespace {
 

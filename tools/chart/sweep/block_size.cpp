@@ -14,6 +14,7 @@ namespace ff::chart {
 namespace {
 
 using namespace runtime;
+using namespace walks;
 using Clock = std::chrono::steady_clock;
 
 // A full matrix through which patches move, first in, first out.
