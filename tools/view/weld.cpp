@@ -140,6 +140,12 @@ Weld weldScene(const ViewScene& scene) {
     return n == Vec3{} ? scene.patches[scene.triangle_patch[t]].normal : n;
   };
 
+  // A crumb may point another way than the patch that it joined, whose light it has.
+  const auto areAlike = [&](size_t t, size_t u) {
+    const uint32_t p = scene.triangle_patch[t], q = scene.triangle_patch[u];
+    return dot(facing(t), facing(u)) > kSameWay && (p == q || dot(scene.patches[p].normal, scene.patches[q].normal) > kSameWay);
+  };
+
   // Split each place into classes of faces that point the same way; the first face of a class stands for it. Then split the
   // classes into those that see each other past what stands on them.
   std::vector<std::pair<uint32_t, uint32_t>> corners_at;
@@ -157,7 +163,7 @@ Weld weldScene(const ViewScene& scene) {
   for (uint32_t place = 0; place < places.size(); ++place) {
     classes.clear();
     for (const uint32_t c : at.of(place)) {
-      auto it = std::find_if(classes.begin(), classes.end(), [&](const auto& k) { return dot(facing(k[0] / 3), facing(c / 3)) > kSameWay; });
+      auto it = std::find_if(classes.begin(), classes.end(), [&](const auto& k) { return areAlike(k[0] / 3, c / 3); });
       if (it == classes.end()) it = classes.insert(it, {{}});
       it->push_back(c);
     }

@@ -93,6 +93,17 @@ TEST(Weld, NeverTakesLightFromTheOtherSideOfAWallThatStandsOnTheFloor) {
     }
 }
 
+// A roof ends in a rim that faces as the wall below does and joined the roof's patch, too small for one of its own.
+TEST(Weld, TakesNoLightFromAPatchByACrumbOfItThatPointsAnotherWay) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 1, 0}, {1, 0, 0}, 1, 1);
+  const uint32_t roof = addSheet(scene, {0, 1.05f, 0}, {0, 0, 1}, {1, 0, 0}, 1, 1);
+  for (const Vec3 corner : {Vec3{0, 1, 0}, {0, 1.05f, 0}, {1, 1.05f, 0}, {0, 1, 0}, {1, 1.05f, 0}, {1, 1, 0}}) scene.corners.push_back(corner);
+  scene.triangle_patch.insert(scene.triangle_patch.end(), 2, roof);
+  const Weld weld = weldScene(scene);
+  EXPECT_EQ(lightersOf(scene, weld, 0), std::set<uint32_t>{0});
+}
+
 // A floor in two halves that sealed strips join, under a wall between them.
 TEST(Weld, TakesNoLightAlongSealedSurface) {
   ViewScene scene;
