@@ -1,6 +1,7 @@
 #include "stream/streamer.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <future>
 #include <new>
@@ -10,6 +11,7 @@
 #include "stream/file_source.h"
 #include "stream/strip_loader.h"
 #include "stream/tile_cache.h"
+#include "stream/tile_map.h"
 #include "stream/wanted_tiles.h"
 
 namespace ff::stream {
@@ -36,13 +38,12 @@ class StreamerImpl final : public Streamer {
  public:
   StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source)
       : world_(world),
-        numbers_(world),
+        retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
-        cache_(world, settings.memory_bytes),
-        failures_(numbers_.tiles()),
-        last_active_(numbers_.tiles()),
+        cache_(settings.memory_bytes, wanted_.mostWanted() + kMoreCached),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.mostWanted()) {
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.mostWanted(), wanted_.mostWanted() + kMoreCached) {
+    failures_.reserve(64);
     previous_.reserve(wanted_.mostWanted());
     missing_.reserve(wanted_.mostWanted());
     active_.reserve(wanted_.mostWanted());
@@ -64,7 +65,7 @@ class StreamerImpl final : public Streamer {
 
   bool update(Vec3 observer, Vec3 velocity) override {
     const bool moved = !started_ || !(observer == observer_);
-    if (!moved && !loader_.anyArrived()) return false;
+    if (!moved && !loader_.anyArrived() && !isRetryDue()) return false;
     started_ = true;
     observer_ = observer;
     velocity_ = velocity;
@@ -100,6 +101,13 @@ class StreamerImpl final : public Streamer {
   std::string lastFailure() const override { return loader_.lastFailure(); }
 
  private:
+  using Clock = std::chrono::steady_clock;
+  static constexpr uint32_t kGivenUp = 2;       // failures
+  static constexpr size_t kMoreCached = 8192;   // tiles, beyond those that are wanted
+  struct Failure {
+    uint32_t times = 0;
+    Clock::time_point retry_at;
+  };
   struct Missing {
     float need;  // distance over radius, where the observer will be
     TileId id;
@@ -113,8 +121,8 @@ class StreamerImpl final : public Streamer {
       const bool wanted = wanted_.isWanted(arrival.id);
       if (arrival.strip)
         cache_.insert(std::move(arrival.strip), wanted, loader_.retired());
-      else if (wanted && ++failures_[numbers_.of(arrival.id)] == kGivenUp)
-        ++stats_.failed;
+      else if (wanted)
+        fail(arrival.id);
     }
   }
 
@@ -123,7 +131,7 @@ class StreamerImpl final : public Streamer {
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id)) continue;
       cache_.setWanted(id, false);
-      failures_[numbers_.of(id)] = 0;  // the next visit may try again
+      failures_.erase(id);  // the next visit may try again
     }
     for (const TileId id : now) cache_.setWanted(id, true);
     previous_.assign(now.begin(), now.end());
@@ -134,7 +142,7 @@ class StreamerImpl final : public Streamer {
     const Vec3 ahead = observer_ + velocity_ * kLookAheadSeconds;
     missing_.clear();
     for (const TileId id : previous_)
-      if (!cache_.find(id) && failures_[numbers_.of(id)] < kGivenUp)
+      if (!cache_.find(id) && !isGivenUp(id))
         missing_.push_back({world_.tiles(id.level)[id.tile].bounds.distance(ahead) / wanted_.radius(id.level), id});
     const bool had_queue = std::exchange(has_queue_, !missing_.empty());
     if (!had_queue && !has_queue_ && loader_.retired().empty()) return;
@@ -149,15 +157,18 @@ class StreamerImpl final : public Streamer {
 
   // From the top down, so that ancestors are decided first. Returns whether the set has changed.
   bool chooseActive() {
-    ++round_;
     next_active_.clear();
     for (size_t i = previous_.size(); i-- > 0;) {
       const TileId id = previous_[i];
       const StripPtr& strip = cache_.find(id);
       if (!strip) continue;
       const bool top = id.level + 1 == world_.levels().size();
-      if (!top && last_active_[numbers_.of({id.level + 1, world_.parentTile(id)})] != round_) continue;
-      last_active_[numbers_.of(id)] = round_;
+      const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
+      if (!top) {
+        const TileId parent{id.level + 1, world_.parentTile(id)};
+        const auto at = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
+        if (at == next_active_.end() || (*at)->id != parent) continue;
+      }
       next_active_.push_back(strip);
     }
     std::reverse(next_active_.begin(), next_active_.end());
@@ -166,19 +177,28 @@ class StreamerImpl final : public Streamer {
     return true;
   }
 
-  static constexpr uint8_t kGivenUp = 2;  // failures
+  void fail(TileId id) {
+    Failure& failure = failures_[id];
+    stats_.failed += ++failure.times == kGivenUp;
+    failure.retry_at = Clock::now() + retry_after_;
+  }
+  bool isGivenUp(TileId id) {
+    const auto at = failures_.find(id);
+    return at != failures_.end() && at->second.times >= kGivenUp && Clock::now() < at->second.retry_at;
+  }
+  bool isRetryDue() const {
+    return !failures_.empty() && std::ranges::any_of(failures_, [now = Clock::now()](const auto& f) { return now >= f.second.retry_at; });
+  }
 
   const formats::World& world_;
-  const TileNumbers numbers_;
+  const Clock::duration retry_after_;
   WantedTiles wanted_;
   TileCache cache_;
   Vec3 observer_, velocity_;
   bool started_ = false, has_queue_ = false;
   std::vector<TileId> previous_;       // wanted by the last walk, sorted
   std::vector<Missing> missing_;
-  std::vector<uint8_t> failures_;      // by tile number, of wanted tiles
-  std::vector<uint32_t> last_active_;  // by tile number: the last round in which it was active
-  uint32_t round_ = 0;
+  TileMap<Failure> failures_;          // of wanted tiles
   std::vector<StripPtr> active_, next_active_;
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
@@ -195,6 +215,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
     return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
   if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
+  if (!(s.retry_seconds > 0 && s.retry_seconds <= 1e6f)) return refuse("retry_seconds is not between 0 and 1e6", "try 5");
   uint64_t nodes = 0, bytes = 0;
   for (const formats::TileInfo& info : world.tiles(static_cast<uint32_t>(world.levels().size() - 1))) {
     nodes += info.nodes;

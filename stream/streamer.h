@@ -27,6 +27,7 @@ struct StreamSettings {
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
   int queue_depth = 8;
+  float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 
 struct StreamStats {

@@ -12,6 +12,9 @@ using formats::TileId;
 
 namespace {
 
+// Counters may wrap.
+bool isAfter(uint32_t a, uint32_t b) { return static_cast<int32_t>(a - b) > 0; }
+
 constexpr const char* kOutOfMemory = "out of memory";  // short enough for a string to need none
 
 }  // namespace
@@ -25,20 +28,18 @@ Result<StripPtr> decodeAndPack(const formats::World& world, TileId id, std::span
 }
 
 StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
-                         size_t most_queued)
+                         size_t most_queued, size_t most_retired)
     : world_(world),
       source_(source),
-      depth_(static_cast<size_t>(std::max(depth, 1))),
-      numbers_(world),
-      under_way_(numbers_.tiles()),
-      last_arrival_(numbers_.tiles()),
-      last_queued_(numbers_.tiles()) {
+      depth_(static_cast<size_t>(std::max(depth, 1))) {
   // Lists change places when they are handed over, so each has room for the most that any of them can hold.
-  for (std::vector<TileId>* list : {&next_queue_, &submitted_, &incoming_, &queue_}) list->reserve(most_queued);
+  for (std::vector<TileId>* list : {&next_queue_, &submitted_, &incoming_, &queue_, &sorted_}) list->reserve(most_queued);
   const size_t most_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(most_arrived);
   for (std::vector<StripPtr>* list : {&next_retired_, &submitted_retired_, &incoming_retired_})
-    list->reserve(numbers_.tiles() + 2 * most_arrived);
+    list->reserve(most_retired + 2 * most_arrived);
+  under_way_.reserve(depth_);
+  since_taken_.reserve(4 * most_arrived);
   startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
 }
 
@@ -144,11 +145,10 @@ void StripLoader::pickUp() {
   }
   freeRetired();
   if (!fresh) return;
-  ++queue_number_;
-  for (const TileId id : incoming_) last_queued_[numbers_.of(id)] = queue_number_;
-  uint64_t dropped = 0;
-  for (const TileId id : queue_) dropped += last_queued_[numbers_.of(id)] != queue_number_;
-  cancelled_.fetch_add(dropped);
+  std::erase_if(since_taken_, [this](const auto& arrival) { return !isAfter(arrival.first, queue_taken_); });
+  sorted_.assign(incoming_.begin(), incoming_.end());
+  std::ranges::sort(sorted_);
+  cancelled_.fetch_add(static_cast<uint64_t>(std::ranges::count_if(queue_, [this](TileId id) { return !std::ranges::binary_search(sorted_, id); })));
   queue_.swap(incoming_);
   incoming_.clear();
   progress();
@@ -178,13 +178,12 @@ std::optional<TileId> StripLoader::nextRead() {
   while (!found && !stop_ && !queue_.empty() && under_way_count_.load() < depth_ && arrived_count_.load() < 4 * depth_) {
     const TileId id = queue_.back();
     queue_.pop_back();
-    const uint32_t number = numbers_.of(id);
-    // Whoever made the queue did not know of arrivals after the queue_taken_-th. (Differences: counters may wrap.)
-    const bool arrived = static_cast<int32_t>(last_arrival_[number] - queue_taken_) > 0;
-    if (under_way_[number] == 0 && !arrived) found = id;
+    // Whoever made the queue did not know of arrivals after the queue_taken_-th.
+    const bool arrived = std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; });
+    if (!arrived && std::ranges::find(under_way_, id) == under_way_.end()) found = id;
   }
   if (found) {
-    under_way_[numbers_.of(*found)] = 1;
+    under_way_.push_back(*found);
     under_way_count_.fetch_add(1);
     ++reads_;
   }
@@ -239,14 +238,14 @@ void StripLoader::fail(TileId id, const Error& error, uint64_t stored_bytes) {
 }
 
 void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
-  const uint32_t number = numbers_.of(id);
   {
     const std::lock_guard lock(hand_over_mutex_);
     arrived_.push_back({id, std::move(strip), stored_bytes});
-    last_arrival_[number] = ++arrivals_;
+    ++arrivals_;
     arrived_count_.store(static_cast<uint32_t>(arrived_.size()));
   }
-  under_way_[number] = 0;
+  if (since_taken_.size() < since_taken_.capacity()) since_taken_.emplace_back(arrivals_, id);  // else it may be read twice
+  std::erase(under_way_, id);
   under_way_count_.fetch_sub(1);
   progress();
 }

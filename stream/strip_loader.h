@@ -16,7 +16,6 @@
 
 #include "formats/reader.h"
 #include "stream/resident_strip.h"
-#include "stream/tile_numbers.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {
@@ -38,8 +37,9 @@ class StripLoader {
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
   // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
-  // most_queued: tiles in a queue, at most.
-  StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t most_queued);
+  // most_queued: tiles in a queue, at most. most_retired: strips that leave at once, at most.
+  StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t most_queued,
+              size_t most_retired);
   // Drops the queue, cancels the reads that are under way and waits for their answers.
   ~StripLoader();
 
@@ -87,7 +87,6 @@ class StripLoader {
   const formats::World& world_;
   TileSource& source_;
   const size_t depth_;
-  const TileNumbers numbers_;
 
   // The owner's.
   std::vector<formats::TileId> next_queue_;
@@ -108,10 +107,10 @@ class StripLoader {
   mutable std::mutex pipeline_mutex_;
   std::condition_variable reads_done_;
   std::vector<formats::TileId> queue_, incoming_;  // the most urgent last
-  uint32_t queue_taken_ = 0, queue_number_ = 0;
-  std::vector<uint8_t> under_way_;       // by tile number: being read, waiting for a decoder or being decoded
-  std::vector<uint32_t> last_arrival_;   // by tile number: its place among all arrivals, from 1
-  std::vector<uint32_t> last_queued_;    // by tile number: the last queue that held it
+  uint32_t queue_taken_ = 0;
+  std::vector<formats::TileId> under_way_;       // being read, waiting for a decoder or being decoded; depth_ at most
+  std::vector<std::pair<uint32_t, formats::TileId>> since_taken_;  // arrivals after the queue_taken_-th, with their numbers from 1
+  std::vector<formats::TileId> sorted_;          // of incoming_
   std::vector<StripPtr> retired_, incoming_retired_;
   std::deque<Stored> to_decode_;
   Error failure_;

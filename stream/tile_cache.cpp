@@ -1,60 +1,63 @@
 #include "stream/tile_cache.h"
 
 #include <algorithm>
-
-#include "stream/wanted_tiles.h"
+#include <numeric>
 
 namespace ff::stream {
 
-TileCache::TileCache(const formats::World& world, uint64_t memory_bytes)
-    : numbers_(world), memory_bytes_(memory_bytes), items_(numbers_.tiles()) {}
+TileCache::TileCache(uint64_t memory_bytes, size_t most_tiles) : memory_bytes_(memory_bytes), items_(most_tiles), free_(most_tiles) {
+  std::iota(free_.rbegin(), free_.rend(), 0u);
+  places_.reserve(most_tiles);
+}
 
 void TileCache::insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving) {
-  const uint32_t number = numbers_.of(strip->id);
   const uint64_t bytes = residentBytes(*strip);
-  if (items_[number].strip || (!wanted && bytes_ + bytes > memory_bytes_)) {
+  const auto isFull = [&] { return bytes_ + bytes > memory_bytes_ || free_.empty(); };
+  if (places_.contains(strip->id) || (!wanted && isFull())) {
     leaving.push_back(std::move(strip));
     return;
   }
-  while (bytes_ + bytes > memory_bytes_ && oldest_ != kNone) {
+  while (isFull() && oldest_ != kNone) {
     Item& oldest = items_[oldest_];
+    places_.erase(oldest.strip->id);
+    free_.push_back(oldest_);
     dequeue(oldest_);
     bytes_ -= oldest.bytes;
-    --tiles_;
     ++evicted_;
     leaving.push_back(std::move(oldest.strip));
     oldest.strip = nullptr;
   }
-  Item& item = items_[number];
+  const uint32_t place = free_.back();
+  free_.pop_back();
+  places_[strip->id] = place;
+  Item& item = items_[place];
   item.strip = std::move(strip);
   item.bytes = bytes;
   item.wanted = wanted;
-  if (!wanted) enqueue(number);
-  ++tiles_;
+  if (!wanted) enqueue(place);
   bytes_ += bytes;
   peak_bytes_ = std::max(peak_bytes_, bytes_);
 }
 
 void TileCache::setWanted(formats::TileId id, bool wanted) {
-  const uint32_t number = numbers_.of(id);
-  Item& item = items_[number];
-  if (!item.strip || item.wanted == wanted) return;
-  item.wanted = wanted;
+  const auto at = places_.find(id);
+  if (at == places_.end() || items_[at->second].wanted == wanted) return;
+  items_[at->second].wanted = wanted;
   if (wanted)
-    dequeue(number);
+    dequeue(at->second);
   else
-    enqueue(number);
+    enqueue(at->second);
 }
 
-void TileCache::enqueue(uint32_t number) {
-  items_[number].before = newest_;
-  items_[number].after = kNone;
-  (newest_ == kNone ? oldest_ : items_[newest_].after) = number;
-  newest_ = number;
+void TileCache::enqueue(uint32_t place) {
+  items_[place].before = newest_;
+  items_[place].after = kNone;
+  (newest_ == kNone ? oldest_ : items_[newest_].after) = place;
+  newest_ = place;
 }
 
-void TileCache::dequeue(uint32_t number) {
-  const Item& item = items_[number];
+void TileCache::dequeue(uint32_t place) {
+  const Item& item = items_[place];
   (item.before == kNone ? oldest_ : items_[item.before].after) = item.after;
   (item.after == kNone ? newest_ : items_[item.after].before) = item.before;
 }

@@ -7,27 +7,31 @@
 #include <vector>
 
 #include "stream/resident_strip.h"
-#include "stream/tile_numbers.h"
+#include "stream/tile_map.h"
 
 namespace ff::stream {
 
 class TileCache {
  public:
-  TileCache(const formats::World& world, uint64_t memory_bytes);
+  // most_tiles: at least as many as are wanted at any time, and one more.
+  TileCache(uint64_t memory_bytes, size_t most_tiles);
 
   // Takes a strip, evicting unwanted ones if need be. An unwanted strip for which that would be needed is refused.
   // Wanted strips are always taken: whoever wants tiles keeps them within the budget.
-  // leaving: evicted and refused strips are appended; needs room for as many as there are tiles.
+  // leaving: evicted and refused strips are appended; needs room for most_tiles of them.
   void insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving);
   // Null if the tile is not here.
-  const StripPtr& find(formats::TileId id) const { return items_[numbers_.of(id)].strip; }
+  const StripPtr& find(formats::TileId id) const {
+    const auto at = places_.find(id);
+    return at == places_.end() ? none_ : items_[at->second].strip;
+  }
   // No effect on absent tiles.
   void setWanted(formats::TileId id, bool wanted);
 
   uint64_t bytes() const { return bytes_; }
   uint64_t peakBytes() const { return peak_bytes_; }
   uint64_t evicted() const { return evicted_; }
-  uint32_t tiles() const { return tiles_; }
+  uint32_t tiles() const { return static_cast<uint32_t>(places_.size()); }
 
  private:
   static constexpr uint32_t kNone = 0xffffffffu;
@@ -37,13 +41,14 @@ class TileCache {
     uint32_t before = kNone, after = kNone;  // neighbours in the queue of unwanted strips
     bool wanted = false;
   };
-  void enqueue(uint32_t number);
-  void dequeue(uint32_t number);
+  void enqueue(uint32_t place);
+  void dequeue(uint32_t place);
 
-  const TileNumbers numbers_;
   uint64_t memory_bytes_ = 0, bytes_ = 0, peak_bytes_ = 0, evicted_ = 0;
-  uint32_t tiles_ = 0;
-  std::vector<Item> items_;                   // by tile number
+  const StripPtr none_;
+  std::vector<Item> items_;
+  std::vector<uint32_t> free_;                // items without a strip
+  TileMap<uint32_t> places_;          // of the strips in items_
   uint32_t oldest_ = kNone, newest_ = kNone;  // unwanted; the oldest goes first
 };
 

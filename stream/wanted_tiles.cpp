@@ -9,6 +9,10 @@ namespace ff::stream {
 using formats::TileId;
 using formats::TileInfo;
 
+namespace {
+constexpr size_t kHeapAtFirst = 65536;  // tiles that are offered and not wanted; or those of the whole world
+}  // namespace
+
 uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   const uint64_t partners = std::min<uint64_t>(info.entries, world.levels()[info.id.level].tiles);
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
@@ -26,17 +30,18 @@ WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& sett
   size_t tiles = 0;
   for (const formats::LevelInfo& level : world.levels()) {
     radius_m_.push_back(radius);
-    last_wanted_.emplace_back(level.tiles, 0);
     radius *= settings.growth;
     tiles += level.tiles;
   }
   // A tile has a node at least, and is offered once.
-  wanted_.reserve(std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles)));
-  heap_.reserve(tiles);
+  most_wanted_ = std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles));
+  wanted_.reserve(most_wanted_);
+  wanted_before_.reserve(most_wanted_);
+  heap_.reserve(std::min(tiles, kHeapAtFirst));
 }
 
 std::span<const TileId> WantedTiles::walk(Vec3 observer) {
-  ++walk_;
+  wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();
   bytes_ = 0;
@@ -61,7 +66,6 @@ std::span<const TileId> WantedTiles::walk(Vec3 observer) {
 }
 
 void WantedTiles::admit(const TileInfo& info, Vec3 observer) {
-  last_wanted_[info.id.level][info.id.tile] = walk_;
   wanted_.push_back(info.id);
   bytes_ += residentBytesBound(world_, info);
   nodes_ += info.nodes;
@@ -75,7 +79,7 @@ void WantedTiles::offerChildren(const TileInfo& parent, Vec3 observer) {
   const uint32_t level = parent.id.level - 1;
   const auto [first, end] = world_.childTiles(parent.id);
   for (uint32_t t = first; t < end; ++t) {
-    const bool stays = last_wanted_[level][t] == walk_ - 1;
+    const bool stays = std::ranges::binary_search(wanted_before_, TileId{level, t});
     const float reach = radius_m_[level] * (stays ? settings_.hysteresis : 1.0f);
     const float key = world_.tiles(level)[t].bounds.distance(observer) / reach;
     if (!(key < 1)) continue;

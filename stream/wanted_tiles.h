@@ -1,6 +1,7 @@
 // Which tiles the observer wants: a best-first walk down the hierarchy that visits only what it admits and its
 // children.
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -12,7 +13,7 @@ namespace ff::stream {
 // Bytes in memory, at most, of a tile that is not decoded yet.
 uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo& info);
 
-// The wanted set; walks allocate nothing. The top level is always wanted; another tile when its parent tile is and its bounds
+// The wanted set; walks allocate nothing, but for a heap that outgrows kHeapAtFirst once. The top level is always wanted; another tile when its parent tile is and its bounds
 // are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget
 // that runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level
@@ -23,9 +24,9 @@ class WantedTiles {
 
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
   std::span<const formats::TileId> walk(Vec3 observer);
-  bool isWanted(formats::TileId id) const { return last_wanted_[id.level][id.tile] == walk_; }
+  bool isWanted(formats::TileId id) const { return std::ranges::binary_search(wanted_, id); }
   // Tiles of a walk, at most.
-  size_t mostWanted() const { return wanted_.capacity(); }
+  size_t mostWanted() const { return most_wanted_; }
   float radius(uint32_t level) const { return radius_m_[level]; }
 
  private:
@@ -44,11 +45,10 @@ class WantedTiles {
 
   const formats::World& world_;
   const StreamSettings settings_;
-  std::vector<float> radius_m_;                     // per level
-  std::vector<std::vector<uint32_t>> last_wanted_;  // [level][tile]: number of the last walk that wanted it
+  size_t most_wanted_ = 0;
+  std::vector<float> radius_m_;  // per level
   std::vector<Candidate> heap_;
-  std::vector<formats::TileId> wanted_;
-  uint32_t walk_ = 1;
+  std::vector<formats::TileId> wanted_, wanted_before_;  // by the last walk, by the one before; sorted
   uint64_t bytes_ = 0;
   uint32_t nodes_ = 0, level0_nodes_ = 0;
   bool level0_closed_ = false;

@@ -10,13 +10,11 @@ constexpr size_t kPagesAtFirst = 8192;  // 4 MiB; or those of the whole world
 }  // namespace
 
 PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(world), outside_(outside) {
-  for (const formats::LevelInfo& level : world.levels()) {
-    slot_of_.emplace_back(level.tiles, kNoSlot);
-    page_of_.emplace_back(level.tiles, kNoPage);
-  }
   size_t pages = 0;
   for (const formats::LevelInfo& level : world.levels()) pages += level.tiles;
   pages = std::min(pages, kPagesAtFirst);
+  slot_of_.reserve(pages);
+  page_of_.reserve(pages);
   pages_.reserve(pages);
   infos_.reserve(pages);
   free_.reserve(pages);
@@ -25,8 +23,9 @@ PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(wor
 }
 
 uint32_t PageTable::hold(formats::TileId id) {
-  uint32_t& number = page_of_[id.level][id.tile];
-  if (number == kNoPage) {
+  const auto [at, is_new] = page_of_.insert({id, 0});
+  uint32_t& number = at.value();
+  if (is_new) {
     if (free_.empty()) {
       free_.push_back(static_cast<uint32_t>(pages_.size()));
       pages_.emplace_back();
@@ -43,13 +42,16 @@ uint32_t PageTable::hold(formats::TileId id) {
 void PageTable::release(uint32_t page) {
   Info& info = infos_[page];
   if (--info.holds > 0) return;
-  page_of_[info.id.level][info.id.tile] = kNoPage;
+  page_of_.erase(info.id);
   info.stale = false;
   free_.push_back(page);
 }
 
 void PageTable::setActive(formats::TileId id, uint32_t first_slot) {
-  slot_of_[id.level][id.tile] = first_slot;
+  if (first_slot == kNoSlot)
+    slot_of_.erase(id);
+  else
+    slot_of_[id] = first_slot;
   Toggled toggled{id.level, {}};
   uint32_t first = id.tile, end = id.tile + 1;
   for (uint32_t level = id.level;; --level) {

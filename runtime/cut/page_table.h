@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "stream/tile_map.h"
 
 namespace ff::runtime {
 
@@ -17,7 +18,6 @@ class PageTable {
   using Page = std::array<uint16_t, formats::kTileNodes>;
 
   // outside: the slot of everything in inactive tiles; kNoSlot: the nearest active ancestor.
-  // Takes 8 bytes a tile of the world.
   explicit PageTable(const formats::World& world, uint32_t outside = kNoSlot);
 
   // The number of a tile's page, for as long as it is held; each hold is given back by release().
@@ -34,12 +34,14 @@ class PageTable {
   // First slot of the page's tile if that is active (the page then counts up from it), else kNoSlot.
   uint32_t firstSlot(uint32_t number) const { return activeSlot(infos_[number].id); }
   bool changed(uint32_t number) const { return infos_[number].refreshed == round_; }
-  uint32_t activeSlot(formats::TileId id) const { return slot_of_[id.level][id.tile]; }
+  uint32_t activeSlot(formats::TileId id) const {
+    const auto at = slot_of_.find(id);
+    return at == slot_of_.end() ? kNoSlot : at->second;
+  }
   // Whether some node of the pages filled last has no active ancestor (its slot reads 0).
   bool incomplete() const { return incomplete_; }
 
  private:
-  static constexpr uint32_t kNoPage = 0xffffffffu;
   struct Info {
     formats::TileId id;
     uint32_t holds = 0;
@@ -56,7 +58,8 @@ class PageTable {
   uint32_t outside_ = kNoSlot;
   bool incomplete_ = false;
   uint32_t round_ = 0;
-  std::vector<std::vector<uint32_t>> slot_of_, page_of_;  // [level][tile]
+  stream::TileMap<uint32_t> slot_of_;  // of active tiles
+  stream::TileMap<uint32_t> page_of_;  // of tiles that are held
   std::vector<Page> pages_;
   std::vector<Info> infos_;
   std::vector<uint32_t> free_, changed_;

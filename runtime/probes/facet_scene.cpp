@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <functional>
 #include <new>
+#include <optional>
 #include <system_error>
+#include <tuple>
 
 namespace ff::runtime {
 namespace {
@@ -15,6 +18,49 @@ constexpr float kBackHandicapCells = 4e-3f;
 constexpr auto kPublishEvery = std::chrono::milliseconds(50);
 // Cells that the observer moves before the choice of tiles is looked at again.
 constexpr float kReaimCells = 4;
+
+// Level-0 tiles, the nearest first, by a descent that visits only tiles that are as near and their siblings.
+class NearestTiles {
+ public:
+  NearestTiles(const formats::World& world, Vec3 observer) : world_(world), observer_(observer) {
+    const auto top = static_cast<uint32_t>(world.levels().size() - 1);
+    offer(top, 0, world.levels()[top].tiles);
+  }
+  // Distance in metres and number.
+  std::optional<std::pair<float, uint32_t>> next() {
+    while (!heap_.empty()) {
+      std::ranges::pop_heap(heap_, std::greater());
+      const auto [distance, depth, tile] = heap_.back();
+      heap_.pop_back();
+      const uint32_t level = formats::kMaxLevels - depth;
+      if (level == 0) return std::pair{distance, tile};
+      const auto [first, end] = world_.childTiles({level, tile});
+      offer(level - 1, first, end);
+    }
+    return std::nullopt;
+  }
+
+ private:
+  void offer(uint32_t level, uint32_t first, uint32_t end) {
+    for (uint32_t t = first; t < end; ++t) {
+      heap_.emplace_back(world_.tiles(level)[t].bounds.distance(observer_), formats::kMaxLevels - level, t);
+      std::ranges::push_heap(heap_, std::greater());
+    }
+  }
+  const formats::World& world_;
+  const Vec3 observer_;
+  std::vector<std::tuple<float, uint32_t, uint32_t>> heap_;  // distance, kMaxLevels - level, tile: coarser first where it is the same
+};
+
+// Descendants of consecutive tiles are consecutive.
+uint32_t tilesBeneath(const formats::World& world, formats::TileId id) {
+  uint32_t first = id.tile, end = id.tile + 1;
+  for (uint32_t level = id.level; level > 0; --level) {
+    end = world.childTiles({level, end - 1}).second;
+    first = world.childTiles({level, first}).first;
+  }
+  return end - first;
+}
 
 }  // namespace
 
@@ -56,7 +102,7 @@ FacetScene::Hit FacetScene::nearest(const RayLine& ray) const {
 }
 
 FacetScenes::FacetScenes(const formats::World& world, uint64_t memory_bytes)
-    : world_(world), memory_bytes_(memory_bytes), numbers_(world), loaded_(world.tiles(0).size()) {
+    : world_(world), memory_bytes_(memory_bytes) {
   if (!world.hasGeometry() || memory_bytes == 0) return;
   try {
     thread_ = std::thread([this] { work(); });
@@ -112,7 +158,6 @@ void FacetScenes::work() {
       return false;
     }
   };
-  bool prepared = false;
   for (uint32_t served = 0; !stop_;) {
     const uint32_t aim = aim_.load();
     if (aim == served) {
@@ -124,9 +169,8 @@ void FacetScenes::work() {
       const std::lock_guard lock(mutex_);
       observer = observer_;
     }
-    if (!prepared) prepared = attempt([&] { findDescendants(); });
     bool moved_on = false;
-    if (prepared) attempt([&] { moved_on = !loadAround(observer); });
+    attempt([&] { moved_on = !loadAround(observer); });
     if (moved_on) continue;
     served = aim;
     done_ = aim;
@@ -134,40 +178,28 @@ void FacetScenes::work() {
   }
 }
 
-// Descendants of consecutive tiles are consecutive.
-void FacetScenes::findDescendants() {
-  descendants_.resize(numbers_.tiles());
-  for (const formats::TileInfo& info : world_.tiles(0)) descendants_[info.id.tile] = {info.id.tile, info.id.tile};
-  for (uint32_t level = 1; level < world_.levels().size() && !stop_; ++level)
-    for (const formats::TileInfo& info : world_.tiles(level)) {
-      const auto [first, end] = world_.childTiles(info.id);
-      descendants_[numbers_.of(info.id)] = {descendants_[numbers_.of({level - 1, first})].first,
-                                            descendants_[numbers_.of({level - 1, end - 1})].second};
-    }
-}
-
 bool FacetScenes::loadAround(Vec3 observer) {
   const uint32_t aim = aim_.load();
-  std::vector<std::pair<float, uint32_t>> nearest;  // distance, tile
-  for (const formats::TileInfo& info : world_.tiles(0)) nearest.emplace_back(info.bounds.distance(observer), info.id.tile);
-  std::sort(nearest.begin(), nearest.end());
+  using Place = std::pair<float, uint32_t>;  // distance, level-0 tile
+  std::vector<Place> far;                    // what is here, the farthest last
+  for (const auto& [tile, facets] : loaded_) far.emplace_back(world_.tiles(0)[tile].bounds.distance(observer), tile);
+  std::ranges::sort(far);
+  NearestTiles nearest(world_, observer);
   auto published = std::chrono::steady_clock::now();
-  size_t farthest = nearest.size();  // tiles from here on have been let go
-  for (size_t i = 0; i < farthest; ++i) {
+  while (const std::optional<Place> next = nearest.next()) {
     if (stop_ || aim_.load() != aim) break;
-    std::shared_ptr<const TileFacets>& place = loaded_[nearest[i].second];
-    if (place) continue;
-    auto tile = load(nearest[i].second);
+    if (loaded_.contains(next->second)) continue;
+    auto tile = load(next->second);
     if (!tile) continue;
-    while (bytes_ + tile->bytes() > memory_bytes_ && farthest > i + 1) {
-      std::shared_ptr<const TileFacets>& far = loaded_[nearest[--farthest].second];
-      if (!far) continue;
-      bytes_ -= far->bytes();
-      far = nullptr;
+    while (bytes_ + tile->bytes() > memory_bytes_ && !far.empty() && far.back() > *next) {
+      const auto farthest = loaded_.find(far.back().second);
+      bytes_ -= farthest->second->bytes();
+      loaded_.erase(farthest);
+      far.pop_back();
     }
     if (bytes_ + tile->bytes() > memory_bytes_) break;
     bytes_ += tile->bytes();
-    place = std::move(tile);
+    loaded_.emplace(next->second, std::move(tile));
     unpublished_ = true;
     if (std::chrono::steady_clock::now() - published < kPublishEvery) continue;
     publish();
@@ -201,17 +233,19 @@ void FacetScenes::publish() {
   auto scene = std::make_unique<FacetScene>();
   scene->back_handicap_m = kBackHandicapCells * world_.info().cell_m;
   std::vector<Box> boxes;
-  std::vector<uint32_t> missing_before(loaded_.size() + 1);  // tiles that are not loaded, before each
-  for (size_t tile = 0; tile < loaded_.size(); ++tile) {
-    missing_before[tile + 1] = missing_before[tile] + (loaded_[tile] ? 0 : 1);
-    if (!loaded_[tile]) continue;
-    scene->tiles.push_back(loaded_[tile]);
-    boxes.push_back(loaded_[tile]->bounds);
+  stream::TileMap<uint32_t> here;  // level-0 tiles of `loaded_` beneath a tile
+  for (const auto& [tile, facets] : loaded_) {
+    scene->tiles.push_back(facets);
+    boxes.push_back(facets->bounds);
+    for (formats::TileId up{0, tile};; up = {up.level + 1, world_.parentTile(up)}) {
+      ++here[up];
+      if (up.level + 1 == world_.levels().size()) break;
+    }
   }
   scene->tree = BoxTree(boxes, 1);
-  scene->complete = missing_before.back() == 0;
-  for (const auto& [first, last] : descendants_)
-    scene->covered.push_back(missing_before[last + 1] == missing_before[first]);
+  scene->complete = loaded_.size() == world_.levels()[0].tiles;
+  for (const auto& [tile, count] : here)
+    if (count == tilesBeneath(world_, tile)) scene->covered.insert(tile);
   ScenePtr old_published, old_returned, made = std::move(scene);
   {
     const std::lock_guard lock(mutex_);

@@ -3,6 +3,7 @@
 #pragma once
 #include <atomic>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <thread>
@@ -10,7 +11,7 @@
 
 #include "formats/reader.h"
 #include "runtime/probes/box_tree.h"
-#include "stream/tile_numbers.h"
+#include "stream/tile_map.h"
 
 namespace ff::runtime {
 
@@ -35,7 +36,7 @@ struct TileFacets {
 struct FacetScene {
   std::vector<std::shared_ptr<const TileFacets>> tiles;
   BoxTree tree;                  // over tiles
-  std::vector<uint8_t> covered;  // by number of a tile of any level: whether all patches beneath are in `tiles`
+  stream::TileSet covered;       // of all levels: all patches beneath are in `tiles`
   bool complete = false;         // all of the world is in `tiles`
   float back_handicap_m = 0;
 
@@ -71,14 +72,12 @@ class FacetScenes {
  private:
   using ScenePtr = std::unique_ptr<const FacetScene>;
   void work();
-  void findDescendants();
   bool loadAround(Vec3 observer);  // false: the observer has moved on
   std::shared_ptr<const TileFacets> load(uint32_t tile) const;
   void publish();
 
   const formats::World& world_;
   const uint64_t memory_bytes_;
-  const stream::TileNumbers numbers_;
   // The owner's.
   ScenePtr scene_, next_;
   Vec3 aimed_at_;
@@ -91,8 +90,7 @@ class FacetScenes {
   std::atomic<bool> fresh_{false}, stop_{false}, starved_{false};
   std::atomic<uint32_t> published_count_{0};
   // The thread's.
-  std::vector<std::pair<uint32_t, uint32_t>> descendants_;  // first and last level-0 tile under a tile, by number
-  std::vector<std::shared_ptr<const TileFacets>> loaded_;   // by level-0 tile
+  std::map<uint32_t, std::shared_ptr<const TileFacets>> loaded_;  // by level-0 tile
   uint64_t bytes_ = 0;
   bool unpublished_ = false;  // tiles were loaded since the last scene
   std::thread thread_;

@@ -116,13 +116,12 @@ uint32_t ProbeTree::childOf(uint32_t cell, uint32_t which) {
   return made;
 }
 
-void ProbeTree::insert(uint32_t slot, uint32_t level, const formats::Node& node, uint32_t tile) {
+void ProbeTree::insert(uint32_t slot, uint32_t level, const formats::Node& node) {
   FF_CHECK_EQ(holds(slot), false);
   if (node.normal == Vec3{}) return;
   Leaf& leaf = leaves_[slot];
   leaf.centroid = node.centroid;
   leaf.normal = node.normal;
-  leaf.tile = tile;
   const int own = static_cast<int>(level), last = static_cast<int>(edge_.size()) - 1;
   const Coordinates at = cellOf(node, own);
   const float section = sectionArea(leaf, at, own);
@@ -182,7 +181,7 @@ void ProbeTree::testLeaves(const Query& query, const Visit& visit, Hit& best) co
   uint32_t count = 0;
   for (uint32_t slot = cells_[visit.cell].first_leaf; slot != kNone; slot = leaves_[slot].next) {
     const Leaf& leaf = leaves_[slot];
-    if (!query.hidden.empty() && query.hidden[leaf.tile]) continue;
+    if (!query.hidden.empty() && query.hidden[slot]) continue;
     const float slope = dot(leaf.normal, query.ray.direction);
     if (std::abs(slope) < 1e-6f) continue;
     const float t = dot(leaf.normal, leaf.centroid - query.ray.origin) / slope;

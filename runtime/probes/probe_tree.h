@@ -21,9 +21,8 @@ class ProbeTree {
   // Slots are below max_slots.
   ProbeTree(const formats::World& world, uint32_t max_slots);
 
-  // The slot must not be in the tree. Nodes without a normal, whose pieces cancel, are left out. tile: any number, see
-  // nearest().
-  void insert(uint32_t slot, uint32_t level, const formats::Node& node, uint32_t tile);
+  // The slot must not be in the tree. Nodes without a normal, whose pieces cancel, are left out.
+  void insert(uint32_t slot, uint32_t level, const formats::Node& node);
   // No effect on a slot that is not in the tree.
   void remove(uint32_t slot);
   bool holds(uint32_t slot) const { return leaves_[slot].cell != kNone; }
@@ -33,7 +32,7 @@ class ProbeTree {
     bool front = true;
     float distance_m = 0;
   };
-  // Nearest plane before limit_m, leaving out those of tiles whose `hidden` is set (by tile number; empty: none). number:
+  // Nearest plane before limit_m, leaving out those whose `hidden` is set (by slot; empty: none). number:
   // chooses where the ray passes planes that fill only part of their cell.
   Hit nearest(const RayLine& ray, uint32_t number, float limit_m, std::span<const uint8_t> hidden) const;
 
@@ -47,7 +46,7 @@ class ProbeTree {
   struct Leaf {
     Vec3 centroid, normal;
     float coverage = 0;  // of the plane's section of the cell
-    uint32_t cell = kNone, next = kNone, tile = 0;
+    uint32_t cell = kNone, next = kNone;
   };
   struct Visit {  // without initial values: a stack of them is made for every ray
     uint32_t cell;

@@ -9,6 +9,7 @@ namespace {
 
 constexpr float kPi = 3.14159265358979f;
 constexpr size_t kWays = 8;  // of the table of kept probes
+constexpr formats::TileId kFree{~0u, ~0u};
 
 // Directions around +z by the cosine: the Hammersley set on a disc, lifted. Shirley and Chiu. A Low Distortion Map
 // between Disk and Square. 1997. Malley's method (Pharr et al. Physically Based Rendering. 2016, 13.6.3).
@@ -45,10 +46,10 @@ Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSet
     : world_(world),
       slots_(slots),
       settings_(settings),
-      numbers_(world),
       tree_(world, kMaxSlots),
       rays_(cosineRays(std::clamp(settings.rays, 1u, 65535u))),
-      tile_of_slot_(kMaxSlots),
+      tile_of_slot_(kMaxSlots, kFree),
+      hidden_(kMaxSlots),
       seen_(kMaxSlots),
       changed_(kMaxSlots),
       kept_((std::max(settings.most_kept, 1u) + kWays - 1) / kWays * kWays),
@@ -58,42 +59,52 @@ Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSet
 
 void Probes::follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut) {
   facets_.moveTo(observer);
-  if (facets_.update()) ++state_;
+  const bool fresh = facets_.update();
+  if (fresh) ++state_;
+  if (fresh || cut != cut_) hideCovered();
   if (cut == cut_) return;
   cut_ = cut;
   ++state_;
   ++follows_;
   for (const ProbeTile& tile : tiles) enter(tile, leaf);
   for (uint32_t slot = 0; slot < kMaxSlots; ++slot)
-    if (tile_of_slot_[slot] != 0 && seen_[slot] != follows_) leave(slot);
+    if (tile_of_slot_[slot] != kFree && seen_[slot] != follows_) leave(slot);
 }
 
 void Probes::enter(const ProbeTile& tile, std::span<const uint8_t> leaf) {
-  const uint32_t number = numbers_.of(tile.id);
   for (uint32_t i = 0; i < tile.nodes.size(); ++i) {
     const uint32_t slot = tile.first_slot + i;
     seen_[slot] = follows_;
-    if (tile_of_slot_[slot] != number + 1) {
+    if (tile_of_slot_[slot] != tile.id) {
       leave(slot);
-      tile_of_slot_[slot] = number + 1;
+      tile_of_slot_[slot] = tile.id;
       changed_[slot] = state_;
     }
     if (!leaf[slot])
       tree_.remove(slot);
     else if (!tree_.holds(slot))
-      tree_.insert(slot, tile.id.level, tile.nodes[i], number);
+      tree_.insert(slot, tile.id.level, tile.nodes[i]);
   }
 }
 
 void Probes::leave(uint32_t slot) {
   tree_.remove(slot);
   changed_[slot] = state_;
-  tile_of_slot_[slot] = 0;
+  tile_of_slot_[slot] = kFree;
 }
 
 void Probes::settle() {
   facets_.settle();
+  hideCovered();
   ++state_;
+}
+
+void Probes::hideCovered() {
+  const FacetScene* const facets = facets_.scene();
+  std::ranges::fill(hidden_, uint8_t{0});
+  if (!facets || facets->complete) return;
+  for (const SlotRange& tile : slots_.tiles())
+    if (facets->covered.contains(tile.id)) std::fill_n(hidden_.begin() + tile.first_slot, tile.nodes, uint8_t{1});
 }
 
 size_t Probes::find(Vec3 point, Vec3 normal) const {
@@ -158,7 +169,7 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
     if (!facets)
       plane = tree_.nearest(ray, r, facet.distance_m, {});
     else if (!facets->complete)
-      plane = tree_.nearest(ray, r, facet.distance_m, facets->covered);
+      plane = tree_.nearest(ray, r, facet.distance_m, hidden_);
     const bool sky = facet.distance_m >= FacetScene::Hit{}.distance_m;
     if (plane.slot == kNoSlot && sky) {
       ++kept.sky;

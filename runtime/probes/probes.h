@@ -72,6 +72,7 @@ class Probes {
   void enter(const ProbeTile& tile, std::span<const uint8_t> leaf);
   void leave(uint32_t slot);
   bool standsStill(size_t kept) const;
+  void hideCovered();
   size_t find(Vec3 point, Vec3 normal) const;
   void trace(size_t kept, Vec3 point, Vec3 normal);
   Vec3 evaluate(size_t kept, std::span<const Vec4> radiosity, const Sky& sky) const;
@@ -80,11 +81,11 @@ class Probes {
   const formats::World& world_;
   const SlotMap& slots_;
   const ProbeSettings settings_;
-  const stream::TileNumbers numbers_;
   ProbeTree tree_;
   std::vector<Vec3> rays_;  // around +z
   // The cut, by slot.
-  std::vector<uint32_t> tile_of_slot_;   // number of the tile + 1; 0: free
+  std::vector<formats::TileId> tile_of_slot_;  // kFree: none
+  std::vector<uint8_t> hidden_;          // its plane: the triangles of all patches beneath are there
   std::vector<uint32_t> seen_;           // the last follow() whose cut held the slot
   std::vector<uint64_t> changed_;        // state_ since which the slot stands for what it stands for now
   uint64_t cut_ = ~uint64_t{0}, state_ = 1;

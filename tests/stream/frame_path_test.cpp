@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <future>
+#include <map>
 #include <set>
 
 #include "stream/file_source.h"
@@ -184,6 +185,27 @@ TEST_F(FramePath, AStripThatIsHeldOutlivesItsEviction) {
     }
   EXPECT_GT(streamer->stats().evicted, held.size());
   for (size_t i = 0; i < held.size(); ++i) EXPECT_EQ(held[i]->nodes.front().quanta, nodes[i]);
+}
+
+TEST_F(FramePath, WhatAStreamerTakesIsForWhatIsNearAndNotForTheWorld) {
+  std::map<size_t, uint64_t> bytes;  // by tiles of the world
+  for (const uint32_t side : {64u, 128u}) {
+    const auto path = folder_.file(std::to_string(side) + ".ffm");
+    ASSERT_TRUE(formats::writeWorld(makeSyntheticWorld({.side = side, .levels = 6, .tile_nodes = 16}), path, 1 << 20));
+    const auto world = formats::World::open(path);
+    ASSERT_TRUE(world) << world.error().line();
+    size_t tiles = 0;
+    for (const formats::LevelInfo& level : world->levels()) tiles += level.tiles;
+    auto source = makeFileSource(*world);
+    const uint64_t before = memoryCalls().bytes;
+    const auto streamer = Streamer::create(*world, {.radius_m = 8, .max_level0_nodes = 64, .max_nodes = 96}, std::move(source));
+    ASSERT_TRUE(streamer) << streamer.error().line();
+    bytes[tiles] = memoryCalls().bytes - before;
+  }
+  const auto [few, few_bytes] = *bytes.begin();
+  const auto [many, many_bytes] = *bytes.rbegin();
+  ASSERT_GT(many, 3 * few);
+  EXPECT_LT(many_bytes, few_bytes + 24 * (many - few)) << "the heap of a walk alone has room for all tiles of a small world";
 }
 
 }  // namespace

@@ -269,6 +269,18 @@ TEST_F(StreamerTest, AStripThatFailsTwiceLeavesItsAreaOnTheCoarserLevelAndIsCoun
   }
 }
 
+TEST_F(StreamerTest, AStripThatFailedTwiceIsTriedAgainWhileTheObserverStays) {
+  const Vec3 at{30, 1, 30};
+  const auto wanted = wantedByDefinition(at, 6, 1.6f);
+  StreamSettings settings = kNoHistory;
+  settings.retry_seconds = 0.02f;
+  const auto streamer = make(settings, memory(1, [](TileId id, int attempt) { return id.level == 1 && attempt < 2 ? Fate::kReadError : Fate::kGood; }));
+  EXPECT_LT(settledAt(*streamer, at).size(), wanted.size());
+  EXPECT_GT(streamer->stats().failed, 0u);
+  std::this_thread::sleep_for(std::chrono::milliseconds(30));
+  EXPECT_EQ(settledAt(*streamer, at), wanted);
+}
+
 TEST_F(StreamerTest, ATopLevelThatCannotBeReadIsAnErrorOfCreate) {
   const auto streamer = Streamer::create(*world_, kNoHistory, memory(1, [this](TileId id, int) {
     return id.level == top() ? Fate::kFlippedByte : Fate::kGood;

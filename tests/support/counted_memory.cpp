@@ -13,6 +13,7 @@ std::atomic<uint32_t> refused_every = 0, asked = 0;
 
 void* counted(std::size_t bytes, std::size_t alignment) {
   ++calls.allocated;
+  calls.bytes += bytes;
   if (const uint32_t n = refused_every; n > 0 && !exempt && ++asked % n == 0) throw std::bad_alloc();
   void* const memory = alignment > alignof(std::max_align_t)
                            ? std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment)

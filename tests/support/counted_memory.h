@@ -7,6 +7,7 @@ namespace ff {
 
 struct MemoryCalls {
   uint64_t allocated = 0, freed = 0;
+  uint64_t bytes = 0;  // allocated
 };
 
 // Calls of this thread so far.
