@@ -307,6 +307,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.warnings = std::move(clean->notes);
   stats.cell_m = set->cell_m;
   stats.triangles = scene.triangles.size();
+  stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();
   HitRows hits;
   {

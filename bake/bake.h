@@ -46,7 +46,7 @@ struct LevelStats {
 
 struct BakeStats {
   float cell_m = 0;
-  uint64_t triangles = 0, rays = 0;
+  uint64_t triangles = 0, without_area = 0, rays = 0;  // without_area: triangles left out
   double area_m2 = 0;            // exposed: not inside another solid
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
   double buried_fraction = 0;    // of the whole area; sealed surface as well

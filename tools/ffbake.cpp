@@ -130,6 +130,7 @@ nlohmann::json toJson(const ff::bake::BakeStats& s) {
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},
+          {"triangles_without_area", s.without_area},
           {"warnings", s.warnings},
           {"not_modelled", toJson(s.not_modelled)},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
