@@ -7,6 +7,7 @@
 #include <string>
 
 #include "bake/cleanup/scene_names.h"
+#include "formats/portable_math.h"
 
 namespace ff::bake {
 namespace {
@@ -40,7 +41,7 @@ double solidAngle(Vec3 from, Vec3 p, Vec3 q, Vec3 r) {
   const auto la = static_cast<double>(length(a)), lb = static_cast<double>(length(b)), lc = static_cast<double>(length(c));
   const double volume = static_cast<double>(dot(a, cross(b, c)));
   const double below = la * lb * lc + static_cast<double>(dot(a, b)) * lc + static_cast<double>(dot(b, c)) * la + static_cast<double>(dot(c, a)) * lb;
-  return 2 * std::atan2(volume, below);
+  return 2 * arcTangent(volume, below);
 }
 
 // An edge's part in the integral of a triangle's directions, its upward component. James Arvo. Applications of irradiance tensors to the
@@ -48,7 +49,7 @@ double solidAngle(Vec3 from, Vec3 p, Vec3 q, Vec3 r) {
 double edgeUp(Vec3 a, Vec3 b) {
   const Vec3 n = cross(a, b);
   const auto sine = static_cast<double>(length(n));
-  return sine > 0 ? 0.5 * std::atan2(sine, static_cast<double>(dot(a, b))) * static_cast<double>(n.y) / sine : 0;
+  return sine > 0 ? 0.5 * arcTangent(sine, static_cast<double>(dot(a, b))) * static_cast<double>(n.y) / sine : 0;
 }
 
 constexpr double kSeen = 0.4;    // of the sphere around a place; half of it is a dome that ends at the ground

@@ -50,7 +50,8 @@ std::array<double, 3> originOf(const Scene& scene) {
     size = std::max(size, quantile(9) - quantile(1));
   }
   if (!(size > 0)) return origin;
-  const double step = std::exp2(std::ceil(std::log2(size)));
+  int power = 0;
+  const double step = std::ldexp(1.0, std::frexp(size, &power) == 0.5 ? power - 1 : power);
   for (size_t a = 0; a < 3; ++a)
     if (std::abs(median[a]) > kNearBy * size) origin[a] = step * std::round(median[a] / step);
   return origin;

@@ -3,20 +3,14 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
-#include <cmath>
-
 #include "bake/import/pictures.h"
+#include "formats/portable_math.h"
 
 namespace ff::bake::gltf {
 namespace {
 
 constexpr uint64_t kLargestFile = uint64_t{1} << 30;
 const char* const kRemedy = "a stand-in takes its place";
-
-float decoded(uint32_t srgb) {  // IEC 61966-2-1:1999
-  const double v = srgb / 255.0;
-  return static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
-}
 
 Pictures::Means meansOf(const Image& image) {
   std::array<std::array<uint64_t, 256>, 4> histogram{};
@@ -27,7 +21,7 @@ Pictures::Means meansOf(const Image& image) {
     double stored = 0, linear = 0;
     for (uint32_t v = 0; v < 256; ++v) {
       stored += static_cast<double>(histogram[c][v]) * (v / 255.0);
-      linear += static_cast<double>(histogram[c][v]) * static_cast<double>(decoded(v));
+      linear += static_cast<double>(histogram[c][v]) * static_cast<double>(srgbToLinear(v));
     }
     out.stored[c] = static_cast<float>(stored / pixels);
     out.linear[c] = c == 3 ? out.stored[c] : static_cast<float>(linear / pixels);

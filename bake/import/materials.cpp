@@ -1,8 +1,9 @@
 #include "bake/import/materials.h"
 
 #include <algorithm>
-#include <algorithm>
 #include <cmath>
+
+#include "formats/portable_math.h"
 
 namespace ff::bake::gltf {
 namespace {
@@ -46,7 +47,7 @@ UvSource Materials::uvSource(int tex_coord, const tinygltf::ExtensionMap& extens
     return t.Has(key) ? t.Get(key).Get(i).GetNumberAsDouble() : fallback;
   };
   const double angle = t.Has("rotation") ? t.Get("rotation").GetNumberAsDouble() : 0;
-  const double c = std::cos(angle), s = std::sin(angle);
+  const auto [s, c] = sineCosine(angle);
   const double sx = pair("scale", 0, 1), sy = pair("scale", 1, 1);
   // Counter-clockwise as seen with v pointing down, as KHR_texture_transform's text says and renderers do.
   out.xx = c * sx, out.xy = s * sy, out.x = pair("offset", 0, 0);

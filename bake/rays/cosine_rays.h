@@ -1,8 +1,8 @@
 // Where rays start on a triangle and where they go: uniformly over its area, cosine-distributed over its hemisphere.
 #pragma once
 #include <cmath>
-#include <numbers>
 
+#include "formats/portable_math.h"
 #include "formats/vec3.h"
 
 namespace ff::bake {
@@ -25,8 +25,9 @@ inline Vec3 pointInTriangle(Vec3 a, Vec3 b, Vec3 c, float u, float v) {
 
 // u, v in [0, 1). Unit.
 inline Vec3 cosineDirection(const Frame& frame, float u, float v) {
-  const float r = std::sqrt(u), phi = 2 * std::numbers::pi_v<float> * v;
-  return frame.tangent * (r * std::cos(phi)) + frame.bitangent * (r * std::sin(phi)) + frame.normal * std::sqrt(1 - u);
+  const float r = std::sqrt(u);
+  const auto [sine, cosine] = sineCosineOfTurns(static_cast<double>(v));
+  return frame.tangent * (r * static_cast<float>(cosine)) + frame.bitangent * (r * static_cast<float>(sine)) + frame.normal * std::sqrt(1 - u);
 }
 
 }  // namespace ff::bake

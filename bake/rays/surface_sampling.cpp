@@ -7,18 +7,15 @@
 #include <numbers>
 
 #include "bake/rays/sobol.h"
+#include "formats/portable_math.h"
 
 namespace ff::bake {
 namespace {
 
-// IEC 61966-2-1:1999.
-const std::array<float, 256>& srgbToLinear() {
+const std::array<float, 256>& linearOfStored() {
   static const std::array<float, 256> table = [] {
     std::array<float, 256> t{};
-    for (int i = 0; i < 256; ++i) {
-      const double v = i / 255.0;
-      t[static_cast<size_t>(i)] = static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
-    }
+    for (unsigned i = 0; i < 256; ++i) t[i] = srgbToLinear(i);
     return t;
   }();
   return table;
@@ -35,7 +32,7 @@ Texel texel(const Image& image, Vec2 uv, bool repeat) {
     return std::min(n - 1, static_cast<uint32_t>(u * static_cast<float>(n)));
   };
   const size_t at = 4 * (size_t{wrap(uv.y, image.height)} * image.width + wrap(uv.x, image.width));
-  const auto& linear = srgbToLinear();
+  const auto& linear = linearOfStored();
   return {{linear[image.rgba[at]], linear[image.rgba[at + 1]], linear[image.rgba[at + 2]]},
           static_cast<float>(image.rgba[at + 3]) / 255.0f};
 }

@@ -13,7 +13,8 @@ namespace ff::bake {
 inline constexpr int kMostFineness = 4;  // log2(kLargestDensity)
 
 inline int finenessOf(float density) {
-  return std::clamp(static_cast<int>(std::lround(std::log2(density))), -kMostFineness, kMostFineness);
+  const double square = static_cast<double>(density) * static_cast<double>(density);
+  return std::clamp((std::ilogb(square) + 1) >> 1, -kMostFineness, kMostFineness);
 }
 
 inline int finenessOf(const Scene& scene, uint32_t triangle) { return finenessOf(scene.materials[scene.triangles[triangle].material].density); }

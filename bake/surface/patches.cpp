@@ -130,7 +130,7 @@ class PatchBuilder {
       const uint32_t patch = labels_.patch_of[i];
       set_.pieces_[sides_[i].piece].patch[sides_[i].back] = patch;
       if (patch == kSealed) {
-        set_.sealed_m2 += length(vectorArea(pieces_[sides_[i].piece].polygon)) * std::pow(static_cast<double>(settings_.cell_m), 2);
+        set_.sealed_m2 += length(vectorArea(pieces_[sides_[i].piece].polygon)) * static_cast<double>(settings_.cell_m) * static_cast<double>(settings_.cell_m);
         continue;
       }
       order.push_back(i);

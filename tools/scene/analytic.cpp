@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "formats/portable_math.h"
+
 namespace ff::tools {
 namespace {
 
@@ -58,11 +60,13 @@ SceneModel twoSurfaces(const char* name, float albedo, float emission_w_m2, Scen
 
 // A disc around the y axis at height y; the front is up or down.
 ScenePart disc(float y, int segments, bool up) {
-  const double step = 2 * kPi / segments, radius = std::sqrt(step / std::sin(step));
+  const double step = 2 * kPi / segments, radius = std::sqrt(step / sineCosine(step).sine);
   ScenePart p;
   p.positions.push_back({0, y, 0});
-  for (int i = 0; i < segments; ++i)
-    p.positions.push_back({static_cast<float>(radius * std::cos(i * step)), y, static_cast<float>(radius * std::sin(i * step))});
+  for (int i = 0; i < segments; ++i) {
+    const auto [sine, cosine] = sineCosine(i * step);
+    p.positions.push_back({static_cast<float>(radius * cosine), y, static_cast<float>(radius * sine)});
+  }
   for (int i = 0; i < segments; ++i) {
     const auto a = static_cast<uint32_t>(1 + i), b = static_cast<uint32_t>(1 + (i + 1) % segments);
     p.indices.insert(p.indices.end(), {0u, up ? b : a, up ? a : b});
@@ -108,9 +112,9 @@ SceneModel sphericalCap(float half_angle_degrees, int segments, float albedo, fl
   p.positions.push_back({0, 1, 0});
   for (int r = 1; r <= rings; ++r)
     for (int s = 0; s < segments; ++s) {
-      const double polar = half_angle * r / rings, around = 2 * kPi * s / segments;
-      p.positions.push_back({static_cast<float>(std::sin(polar) * std::cos(around)), static_cast<float>(std::cos(polar)),
-                             static_cast<float>(std::sin(polar) * std::sin(around))});
+      const SineCosine polar = sineCosine(half_angle * r / rings), around = sineCosine(2 * kPi * s / segments);
+      p.positions.push_back({static_cast<float>(polar.sine * around.cosine), static_cast<float>(polar.cosine),
+                             static_cast<float>(polar.sine * around.sine)});
     }
   const auto at = [&](int r, int s) { return static_cast<uint32_t>(r == 0 ? 0 : 1 + (r - 1) * segments + s % segments); };
   for (int r = 0; r < rings; ++r)

@@ -6,6 +6,8 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "formats/portable_math.h"
+
 namespace ff::tools {
 namespace {
 
@@ -96,8 +98,11 @@ std::vector<Vec3> smoothed(const Voxels& v, const std::vector<Vec3>& path) {
 }
 
 Vec3 direction(float yaw, float pitch) {
-  return {std::cos(yaw) * std::cos(pitch), std::sin(pitch), std::sin(yaw) * std::cos(pitch)};
+  const SineCosine y = sineCosine(static_cast<double>(yaw)), p = sineCosine(static_cast<double>(pitch));
+  return {static_cast<float>(y.cosine * p.cosine), static_cast<float>(p.sine), static_cast<float>(y.sine * p.cosine)};
 }
+
+float angleOf(float y, float x) { return static_cast<float>(arcTangent(static_cast<double>(y), static_cast<double>(x))); }
 
 struct Shot {
   Vec3 eye, look;
@@ -118,11 +123,12 @@ void follow(std::vector<Shot>& shots, const std::vector<Vec3>& path, float speed
 // Turns on the spot, through the horizon.
 void turn(std::vector<Shot>& shots, Vec3 to) {
   const Vec3 from = shots.back().look, eye = shots.back().eye;
-  const float yaw0 = std::atan2(from.z, from.x);
-  float dyaw = std::atan2(to.z, to.x) - yaw0;
+  const float yaw0 = angleOf(from.z, from.x);
+  float dyaw = angleOf(to.z, to.x) - yaw0;
   if (dyaw > kPi) dyaw -= 2 * kPi;
   if (dyaw < -kPi) dyaw += 2 * kPi;
-  const float pitch0 = std::asin(std::clamp(from.y, -1.0f, 1.0f)), pitch1 = std::asin(std::clamp(to.y, -1.0f, 1.0f));
+  const auto pitchOf = [](Vec3 d) { return angleOf(d.y, std::sqrt(d.x * d.x + d.z * d.z)); };
+  const float pitch0 = pitchOf(from), pitch1 = pitchOf(to);
   const int steps = 4 + static_cast<int>(std::abs(dyaw) * 12);
   for (int i = 1; i <= steps; ++i) {
     const float f = static_cast<float>(i) / static_cast<float>(steps);
@@ -198,7 +204,7 @@ Result<CameraPath> flyThrough(const Town& town, double seconds) {
     const auto toCentre = [&](Vec3 eye) {
       const Vec3 d = centre - eye;
       const float flat = std::max(std::sqrt(d.x * d.x + d.z * d.z), 6.0f);
-      return direction(std::atan2(d.z, d.x), std::max(std::atan2(d.y, flat), -1.0f));
+      return direction(angleOf(d.z, d.x), std::max(angleOf(d.y, flat), -1.0f));
     };
     turn(shots, toCentre(over.front()));
     for (const Vec3& eye : over) shots.push_back({eye, toCentre(eye), 9});
