@@ -1,16 +1,14 @@
-// Nearest hits against a scene's triangles. The only file that sees Embree.
+// Nearest hits against a scene's triangles. The only file that sees Embree, which finds the blocks of triangles whose boxes a ray comes
+// through; what is hit is decided here, the same on every processor (triangle_hit.h).
 #pragma once
 #include <limits>
 #include <memory>
 #include <vector>
 
 #include "bake/scene.h"
+#include "bake/rays/triangle_hit.h"
 
 namespace ff::bake {
-
-struct Ray {
-  Vec3 origin, direction;  // m; unit
-};
 
 struct Hit {
   uint32_t triangle = kNone;  // of the scene; kNone: the sky
@@ -20,13 +18,14 @@ struct Hit {
 
 class RayCaster {
  public:
-  // Builds the acceleration structure; the scene must outlive the caster. Errors: kIo (device, out of memory).
-  static Result<RayCaster> create(const Scene& scene);
+  // Builds the acceleration structure; the scene must outlive the caster. embree: configuration of its device, for tests ("isa=sse2").
+  // Errors: kIo (device, out of memory).
+  static Result<RayCaster> create(const Scene& scene, const char* embree = nullptr);
   RayCaster(RayCaster&&) noexcept;
   RayCaster& operator=(RayCaster&&) noexcept;
   ~RayCaster();
 
-  // Thread-safe. Rays pass through the holes of cutout materials, and backs where Scene::backs says so. Where a back and a surface that
+  // Thread-safe, the same answers whatever the processor and number of threads; of equally near triangles the lowest number. Rays pass through the holes of cutout materials, and backs where Scene::backs says so. Where a back and a surface that
   // faces the ray lie in one place to rounding, the latter is hit.
   Hit nearest(const Ray& ray, float within_m = std::numeric_limits<float>::infinity()) const;
   bool occluded(const Ray& ray, float distance_m) const;
@@ -35,8 +34,6 @@ class RayCaster {
   // How far to lift an origin off this triangle so that rounding cannot put it behind, m: some 25 units in the last place of the
   // triangle's own largest coordinate, whatever else is in the scene.
   float surfaceOffset(uint32_t triangle) const;
-  // Just rtcIntersect1, for measuring what the machine can do: the hit's primitive number or kNone.
-  uint32_t bareIntersect(const Ray& ray) const;
 
  private:
   struct State;

@@ -1,5 +1,6 @@
 // ff_bench_bake [--quick]: speed, size and accuracy of the baker on voxel towns, beside bare Embree in the same run.
 // Prints one JSON object a line (metric, value, unit, limit, note).
+#include <embree3/rtcore.h>
 #include <sys/resource.h>
 #include <tbb/parallel_for.h>
 
@@ -59,6 +60,42 @@ Scene town(const std::filesystem::path& folder, uint64_t patches) {
   return orExit(importGltf(path));
 }
 
+// Embree with a scene's triangles, and nothing else.
+struct BareEmbree {
+  RTCDevice device = rtcNewDevice(nullptr);
+  RTCScene scene = rtcNewScene(device);
+
+  explicit BareEmbree(const Scene& from) {
+    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+    RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+    auto* vertices = static_cast<Vec3*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Vec3),
+                                                                from.positions.size()));
+    auto* corners = static_cast<uint32_t*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                                                   3 * sizeof(uint32_t), from.triangles.size()));
+    std::copy(from.positions.begin(), from.positions.end(), vertices);
+    for (const Triangle& t : from.triangles) corners = std::copy(t.v.begin(), t.v.end(), corners);
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(scene, geometry);
+    rtcReleaseGeometry(geometry);
+    rtcCommitScene(scene);
+  }
+  ~BareEmbree() {
+    rtcReleaseScene(scene);
+    rtcReleaseDevice(device);
+  }
+
+  uint32_t intersect(const Ray& ray) const {
+    RTCRayHit hit{};
+    hit.ray = {ray.origin.x, ray.origin.y, ray.origin.z, 0, ray.direction.x, ray.direction.y, ray.direction.z, 0,
+               std::numeric_limits<float>::infinity(), ~0u, 0, 0};
+    hit.hit.geomID = hit.hit.primID = RTC_INVALID_GEOMETRY_ID;
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcIntersect1(scene, &context, &hit);
+    return hit.hit.primID;
+  }
+};
+
 // Rays per second of rtcIntersect1 alone, all threads, over rays made beforehand: `batch` patches' rays, median of 5.
 double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays) {
   const SobolTable sobol(rays);
@@ -68,13 +105,14 @@ double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaste
     patchRays(scene, set, static_cast<uint32_t>(b * stride), sobol, 1, caster,
               std::span(all).subspan(b * rays, rays));
   });
+  const BareEmbree embree(scene);
   std::vector<double> speeds;
   std::atomic<uint64_t> sink{0};
   for (int run = 0; run < 5; ++run) {
     const auto began = Clock::now();
     tbb::parallel_for(size_t{0}, batch, [&](size_t b) {
       uint64_t sum = 0;
-      for (size_t k = b * rays; k < (b + 1) * rays; ++k) sum += caster.bareIntersect(all[k]);
+      for (size_t k = b * rays; k < (b + 1) * rays; ++k) sum += embree.intersect(all[k]);
       sink += sum;
     });
     speeds.push_back(static_cast<double>(all.size()) / since(began));
