@@ -1,6 +1,9 @@
 #include "bake/import/draco.h"
 
-#include <draco/compression/decode.h>
+#include <draco/compression/mesh/mesh_edgebreaker_decoder.h>
+#include <draco/compression/mesh/mesh_sequential_decoder.h>
+
+#include <memory>
 
 #include "formats/result.h"
 
@@ -41,6 +44,41 @@ HeaderCounts peek(const Bytes& bytes) {
   // Edgebreaker: vertices, then faces; sequential: faces, then points.
   out.known = edgebreaker ? varint(&out.vertices) && varint(&out.faces) : varint(&out.faces) && varint(&out.vertices);
   return out;
+}
+
+// Draco's own, which stops before its attributes, of which a file may ask for any number a vertex, take more than `most_bytes`.
+template <class Base>
+class CappedDecoder final : public Base {
+ public:
+  CappedDecoder(uint64_t most_bytes, uint64_t* bytes) : most_bytes_(most_bytes), bytes_(bytes) {}
+
+ protected:
+  bool DecodeAllAttributes() override {
+    uint64_t a_point = 0;  // the values, and as integers while they are decoded
+    for (int32_t i = 0; i < this->mesh()->num_attributes(); ++i) {
+      const draco::PointAttribute& attribute = *this->mesh()->attribute(i);
+      a_point += static_cast<uint64_t>(attribute.byte_stride()) + uint64_t{attribute.num_components()} * sizeof(int32_t);
+    }
+    *bytes_ = a_point * this->mesh()->num_points();
+    return *bytes_ <= most_bytes_ && Base::DecodeAllAttributes();
+  }
+
+ private:
+  const uint64_t most_bytes_;
+  uint64_t* const bytes_;
+};
+
+// attribute_bytes: what its attributes ask for, in any case.
+draco::Status decodeMesh(draco::DecoderBuffer& buffer, uint64_t most_bytes, draco::Mesh& mesh, uint64_t& attribute_bytes) {
+  draco::DecoderBuffer head(buffer);
+  draco::DracoHeader header;
+  if (auto ok = draco::PointCloudDecoder::DecodeHeader(&head, &header); !ok.ok()) return ok;
+  if (header.encoder_type != draco::TRIANGULAR_MESH) return draco::Status(draco::Status::DRACO_ERROR, "the data is no triangle mesh");
+  if (header.encoder_method == draco::MESH_SEQUENTIAL_ENCODING)
+    return CappedDecoder<draco::MeshSequentialDecoder>(most_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
+  if (header.encoder_method == draco::MESH_EDGEBREAKER_ENCODING)
+    return CappedDecoder<draco::MeshEdgebreakerDecoder>(most_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
+  return draco::Status(draco::Status::DRACO_ERROR, "unknown method");
 }
 
 Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint32_t id, bool normalized,
@@ -98,13 +136,11 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
 
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(bytes.data), bytes.size);
-  const auto type = draco::Decoder::GetEncodedGeometryType(&buffer);
-  if (!type.ok()) refuse(place, "Draco: " + printable(type.status().error_msg_string()), kRemedy);
-  if (type.value() != draco::TRIANGULAR_MESH) refuse(place, "the Draco data is no triangle mesh", kRemedy);
-  draco::Decoder decoder;
-  auto decoded = decoder.DecodeMeshFromBuffer(&buffer);
-  if (!decoded.ok()) refuse(place, "Draco: " + printable(decoded.status().error_msg_string()), kRemedy);
-  const draco::Mesh& mesh = *decoded.value();
+  draco::Mesh mesh;
+  uint64_t attribute_bytes = 0;
+  const draco::Status decoded = decodeMesh(buffer, budget.left(), mesh, attribute_bytes);
+  budget.take(attribute_bytes, place);  // refuses what was too much
+  if (!decoded.ok()) refuse(place, "Draco: " + printable(decoded.error_msg_string()), kRemedy);
 
   DracoMesh out;
   out.vertex_count = mesh.num_points();
@@ -133,7 +169,7 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
     out.attributes.emplace(
         name, decodeAttribute(mesh, name, static_cast<uint32_t>(number(ids, name.c_str())), normalized, place, budget));
   }
-  budget.give(faces * kBytesPerFace);
+  budget.give(faces * kBytesPerFace + attribute_bytes);
   for (const auto& [name, elements] : out.attributes)
     budget.give(elements.count() * elements.components() * sizeof(float));
   return out;

@@ -292,7 +292,8 @@ struct DracoGrid {
   int position_id = 0, uv_id = 0;
 };
 
-DracoGrid encodeGrid(int n, int method) {
+// more: attributes of four integers that nobody asks for.
+DracoGrid encodeGrid(int n, int method, int more = 0) {
   draco::TriangleSoupMeshBuilder builder;
   builder.Start(2 * n * n);
   const int position = builder.AddAttribute(draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32);
@@ -306,6 +307,12 @@ DracoGrid encodeGrid(int n, int method) {
     const auto face = draco::FaceIndex(static_cast<uint32_t>(i));
     builder.SetAttributeValuesForFace(position, face, c[pick[0]].data(), c[pick[1]].data(), c[pick[2]].data());
     builder.SetAttributeValuesForFace(uv, face, c[pick[0]].data(), c[pick[1]].data(), c[pick[2]].data());
+  }
+  for (int k = 0; k < more; ++k) {
+    const int attribute = builder.AddAttribute(draco::GeometryAttribute::GENERIC, 4, draco::DT_INT32);
+    const std::array<int32_t, 4> none{};
+    for (int i = 0; i < 2 * n * n; ++i)
+      builder.SetAttributeValuesForFace(attribute, draco::FaceIndex(static_cast<uint32_t>(i)), none.data(), none.data(), none.data());
   }
   const auto mesh = builder.Finalize();
   draco::Encoder encoder;
@@ -345,6 +352,21 @@ TEST(Import, DecodesDracoMeshesOfBothMethods) {
     for (size_t t = 0; t < 50; ++t) sum += areaVector(scene, t);
     expectNear(sum, {0, 0, 2}, 1e-5f);
   }
+}
+
+// Such attributes compress to next to nothing, and Draco would take memory for each of their values.
+TEST(Import, DracoAttributesThatNobodyAsksForStayWithinTheMemoryLimit) {
+  const TempFolder folder;
+  const ImportLimits limits{.max_memory_bytes = 4 << 20};
+  for (const int method : {draco::MESH_EDGEBREAKER_ENCODING, draco::MESH_SEQUENTIAL_ENCODING})
+    for (const int more : {0, 100}) {
+      GltfFile file = dracoFile(encodeGrid(40, method, more));
+      const auto scene = importGltf(file.save(folder, "d.glb"), limits);
+      ASSERT_EQ(scene.has_value(), more == 0);
+      if (more > 0) {
+        EXPECT_NE(scene.error().line().find("the limit is 4 MiB"), std::string::npos) << scene.error().line();
+      }
+    }
 }
 
 // Colours that tell where a vertex is: red x, green y; as floats, bytes and words, with alpha or without, called normalised by Draco's

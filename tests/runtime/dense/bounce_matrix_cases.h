@@ -4,6 +4,7 @@
 
 #include <functional>
 #include <limits>
+#include <ostream>
 #include <string>
 
 #include "tests/runtime/dense/bounce_matrix_driver.h"
@@ -19,6 +20,7 @@ struct BounceCase {
   // multiplied about threefold. fp32: 2^-24 an operation, some hundred operations deep. fp16: 2^-12 an entry and
   // update at the most, which averages out over a row's entries. Luminance is an approximation and is measured.
   double tolerance() const { return luminance ? 1e-2 : storage == Storage::kFloat32 ? 5e-6 : 2e-3; }
+  friend void PrintTo(const BounceCase& c, std::ostream* out) { *out << c.name; }
 };
 
 class BounceMatrixTest : public ::testing::TestWithParam<BounceCase> {
