@@ -26,6 +26,7 @@ using chart::gatherBytes;
 using chart::Neighbourhood;
 using chart::ReadBandwidth;
 using namespace ff::runtime;
+using namespace ff::walks;
 
 struct Options {
   std::string world, backend = "both";
