@@ -192,8 +192,10 @@ std::pair<uint32_t, uint32_t> World::children(uint32_t level, uint32_t node) con
 
 uint32_t World::parentTile(TileId id) const { return state_->manifest.links[id.level].tiles.parent(id.tile); }
 
-std::pair<uint32_t, uint32_t> World::childTiles(TileId id) const {
-  return state_->manifest.links[id.level - 1].tiles.children(id.tile);
+std::pair<uint32_t, uint32_t> World::childTiles(uint32_t level, uint32_t first, uint32_t end) const {
+  const ParentLinks& links = state_->manifest.links[level - 1].tiles;
+  const auto of_first = links.children(first);
+  return {of_first.first, end - first == 1 ? of_first.second : links.children(end - 1).second};
 }
 
 uint32_t World::placeOfParent(uint32_t level, uint32_t node) const {

@@ -42,7 +42,9 @@ class World {
   // Tiles form a tree: the tile of level + 1 that holds the parents of all of a tile's nodes. Not for the top level.
   uint32_t parentTile(TileId id) const;
   // Numbers of the first and last + 1 tiles of level - 1 whose parent tile is `id`; level >= 1.
-  std::pair<uint32_t, uint32_t> childTiles(TileId id) const;
+  std::pair<uint32_t, uint32_t> childTiles(TileId id) const { return childTiles(id.level, id.tile, id.tile + 1); }
+  // Likewise of the tiles first..end - 1, at least one, of a level: children of consecutive tiles are consecutive.
+  std::pair<uint32_t, uint32_t> childTiles(uint32_t level, uint32_t first, uint32_t end) const;
   // Index of the node's parent within its tile's parent tile. Not for the top level; constant time.
   uint32_t placeOfParent(uint32_t level, uint32_t node) const;
 

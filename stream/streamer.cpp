@@ -119,10 +119,12 @@ class StreamerImpl final : public Streamer {
       ++stats_.strips_read;
       stats_.bytes_read += arrival.stored_bytes;
       const bool wanted = wanted_.isWanted(arrival.id);
-      if (arrival.strip)
+      if (arrival.strip) {
+        failures_.erase(arrival.id);
         cache_.insert(std::move(arrival.strip), wanted, loader_.retired());
-      else if (wanted)
+      } else if (wanted) {
         fail(arrival.id);
+      }
     }
   }
 

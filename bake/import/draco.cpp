@@ -3,8 +3,6 @@
 #include <draco/compression/mesh/mesh_edgebreaker_decoder.h>
 #include <draco/compression/mesh/mesh_sequential_decoder.h>
 
-#include <memory>
-
 #include "formats/result.h"
 
 namespace ff::bake::gltf {

@@ -15,7 +15,7 @@ constexpr float kErrorOfTriangle = 1e-6f, kErrorOfOrigin = 1.3e-6f;
 constexpr double kErrorOfWeight = 4;
 constexpr double kSliver = 1e6;  // longest side squared over area, where single precision says nothing
 
-void put(TriangleBlock::Plane& plane, size_t i, const Wide& across, double at) {
+void put(TriangleBlock::Plane& plane, size_t i, const Point& across, double at) {
   plane.x[i] = static_cast<float>(across.x);
   plane.y[i] = static_cast<float>(across.y);
   plane.z[i] = static_cast<float>(across.z);
@@ -26,15 +26,15 @@ void put(TriangleBlock::Plane& plane, size_t i, const Wide& across, double at) {
 
 void TriangleBlock::set(size_t i, uint32_t number, const Corners& corners) {
   triangle[i] = number;
-  const Wide p = wide(corners[0]), s = wide(corners[1]) - p, t = wide(corners[2]) - p, n = cross(s, t);
+  const Point p = pointOf(corners[0]), s = pointOf(corners[1]) - p, t = pointOf(corners[2]) - p, n = cross(s, t);
   const double square = dot(n, n);
-  const Wide unit = n / std::sqrt(square), to_b = cross(t, n) / square, to_c = cross(n, s) / square;
+  const Point unit = n / std::sqrt(square), to_b = cross(t, n) / square, to_c = cross(n, s) / square;
   put(distance, i, unit, -dot(unit, p));
   put(b, i, to_b, -dot(to_b, p));
   put(c, i, to_c, -dot(to_c, p));
   float largest = 0;
   for (const Vec3& v : corners) largest = std::max({largest, std::abs(v.x), std::abs(v.y), std::abs(v.z)});
-  const Wide to_a = to_b + to_c;
+  const Point to_a = to_b + to_c;
   error[i] = kErrorOfTriangle * largest;
   weight_error[i] = static_cast<float>(kErrorOfWeight * std::sqrt(std::max({dot(to_a, to_a), dot(to_b, to_b), dot(to_c, to_c)})));
   if (!(std::max({dot(s, s), dot(t, t), dot(t - s, t - s)}) < kSliver * std::sqrt(square))) error[i] = weight_error[i] = kInfinity;

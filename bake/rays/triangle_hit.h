@@ -6,7 +6,7 @@
 #include <cmath>
 #include <optional>
 
-#include "formats/vec3.h"
+#include "bake/point.h"
 
 namespace ff::bake {
 
@@ -21,16 +21,7 @@ struct TriangleHit {
   float b, c;  // weights of the second and third corner
 };
 
-struct Wide {
-  double x, y, z;
-};
-inline Wide wide(Vec3 v) { return {static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)}; }
-inline Wide operator+(const Wide& a, const Wide& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Wide operator-(const Wide& a, const Wide& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Wide operator/(const Wide& a, double by) { return {a.x / by, a.y / by, a.z / by}; }
-inline double dot(const Wide& a, const Wide& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline Wide cross(const Wide& a, const Wide& b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
-inline double largestOf(const Wide& v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
+inline double largestOf(const Point& v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
 
 // How far outside a triangle's bounding box it may be met, as a share of the largest coordinate of the triangle and of the ray's origin.
 inline constexpr double kOutsideBox = 0x1p-33;
@@ -38,8 +29,8 @@ inline constexpr double kOutsideBox = 0x1p-33;
 // Beyond from_m. A ray through an edge or corner that triangles share meets one of them at least: the signs of the volumes between a ray
 // and an edge, given in either direction, are exactly opposite.
 inline std::optional<TriangleHit> meet(const Ray& ray, const Corners& corners, double from_m) {
-  const Wide origin = wide(ray.origin), d = wide(ray.direction), p = wide(corners[0]), q = wide(corners[1]), r = wide(corners[2]);
-  const Wide u = p - origin, v = q - origin, w = r - origin;
+  const Point origin = pointOf(ray.origin), d = pointOf(ray.direction), p = pointOf(corners[0]), q = pointOf(corners[1]), r = pointOf(corners[2]);
+  const Point u = p - origin, v = q - origin, w = r - origin;
   const double a = dot(d, cross(v + w, r - q)), b = dot(d, cross(w + u, p - r)), c = dot(d, cross(u + v, q - p)), all = a + b + c;
   if (!((a >= 0 && b >= 0 && c >= 0) || (a <= 0 && b <= 0 && c <= 0)) || all == 0) return {};
   // Where the ray passes is a mean of the corners, so that the distance is one of theirs as well.
@@ -47,8 +38,8 @@ inline std::optional<TriangleHit> meet(const Ray& ray, const Corners& corners, d
   if (!(t > from_m)) return {};
 
   // To a ray in the triangle's plane the volumes are rounding errors: what is met is held in the box, where a tree of boxes finds it.
-  const Wide lo{std::min({u.x, v.x, w.x}), std::min({u.y, v.y, w.y}), std::min({u.z, v.z, w.z})};
-  const Wide hi{std::max({u.x, v.x, w.x}), std::max({u.y, v.y, w.y}), std::max({u.z, v.z, w.z})};
+  const Point lo{std::min({u.x, v.x, w.x}), std::min({u.y, v.y, w.y}), std::min({u.z, v.z, w.z})};
+  const Point hi{std::max({u.x, v.x, w.x}), std::max({u.y, v.y, w.y}), std::max({u.z, v.z, w.z})};
   const double margin = kOutsideBox / 4 * std::max({largestOf(lo), largestOf(hi), largestOf(origin)});
   const auto within = [&](double at, double from, double to) { return at >= from - margin && at <= to + margin; };
   if (!(within(t * d.x, lo.x, hi.x) && within(t * d.y, lo.y, hi.y) && within(t * d.z, lo.z, hi.z))) {

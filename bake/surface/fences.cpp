@@ -127,16 +127,11 @@ struct Fences::Found {
   bool fenced[2] = {}, close[2] = {};  // close: something may lie on it
 };
 
-Vec3 Fences::metres(Point p) const {
-  return {static_cast<float>(p.x * cell_m_), static_cast<float>(p.y * cell_m_), static_cast<float>(p.z * cell_m_)};
-}
+Vec3 Fences::metres(Point p) const { return vec3Of(p * cell_m_); }
 
 std::array<Point, 3> Fences::cornersOf(uint32_t triangle) const {
   std::array<Point, 3> corners;
-  for (size_t k = 0; k < 3; ++k) {
-    const Vec3 p = scene_.positions[scene_.triangles[triangle].v[k]];
-    corners[k] = {static_cast<double>(p.x) / cell_m_, static_cast<double>(p.y) / cell_m_, static_cast<double>(p.z) / cell_m_};
-  }
+  for (size_t k = 0; k < 3; ++k) corners[k] = pointOf(scene_.positions[scene_.triangles[triangle].v[k]]) / cell_m_;
   return corners;
 }
 

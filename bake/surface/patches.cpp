@@ -159,9 +159,7 @@ class PatchBuilder {
         if (set_.pieces_[i].patch[back] != kSealed) continue;
         const uint32_t patch = nearestPatch(i, back);
         if (patch == kNone) continue;
-        const auto corner = [&](size_t k) { return inMetres(pieces_[i].polygon[k]); };
-        for (size_t k = 1; k + 1 < pieces_[i].polygon.size(); ++k)
-          set_.sealed.push_back({corner(0), corner(back ? k + 1 : k), corner(back ? k : k + 1), pieces_[i].triangle, patch});
+        eachTriangle(pieces_[i], back, [&](Vec3 a, Vec3 b, Vec3 c) { set_.sealed.push_back({a, b, c, pieces_[i].triangle, patch}); });
       }
     std::ranges::stable_sort(set_.sealed, {}, &SealedTriangle::patch);
   }
@@ -169,11 +167,7 @@ class PatchBuilder {
   // On one side of the triangle of piece i, of the patches in the piece's cell and those around it; kNone if none is there.
   uint32_t nearestPatch(size_t i, int back) const {
     const Piece& piece = pieces_[i];
-    const auto middle = [](const Polygon& polygon) {
-      Point sum{0, 0, 0};
-      for (const Point& p : polygon) sum = sum + p;
-      return sum * (1 / static_cast<double>(polygon.size()));
-    };
+    const Point from = middle(piece.polygon);
     const auto first = set_.pieces_.begin() + set_.piece_start_[piece.triangle], last = set_.pieces_.begin() + set_.piece_start_[piece.triangle + 1];
     uint32_t patch = kNone;
     double nearest = 1e300;
@@ -183,7 +177,7 @@ class PatchBuilder {
           const Cell cell{piece.cell[0] + x, piece.cell[1] + y, piece.cell[2] + z};
           for (const PatchSet::CutPiece& q : std::ranges::equal_range(first, last, cell, {}, &PatchSet::CutPiece::cell)) {
             if (q.patch[back] == kSealed || q.patch[back] == kNone) continue;
-            const Point way = middle(pieces_[static_cast<size_t>(&q - set_.pieces_.data())].polygon) - middle(piece.polygon);
+            const Point way = middle(pieces_[static_cast<size_t>(&q - set_.pieces_.data())].polygon) - from;
             if (const double d = dot(way, way); d < nearest) {
               nearest = d;
               patch = q.patch[back];
@@ -193,9 +187,11 @@ class PatchBuilder {
     return patch;
   }
 
-  Vec3 inMetres(const Point& p) const {
-    const auto s = static_cast<double>(settings_.cell_m);
-    return {static_cast<float>(p.x * s), static_cast<float>(p.y * s), static_cast<float>(p.z * s)};
+  // f(a, b, c): corners in metres, wound as seen from the front or back of a piece.
+  template <class F>
+  void eachTriangle(const Piece& piece, bool back, F f) const {
+    const auto metres = [&](size_t i) { return vec3Of(piece.polygon[i] * static_cast<double>(settings_.cell_m)); };
+    for (size_t i = 1; i + 1 < piece.polygon.size(); ++i) f(metres(0), metres(back ? i + 1 : i), metres(back ? i : i + 1));
   }
 
   // What patchAt() needs to tell the pieces of a triangle in one cell from each other.
@@ -232,13 +228,9 @@ class PatchBuilder {
     for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
       const Side& side = sides_[order[k]];
       const Piece& piece = pieces_[side.piece];
-      const auto metres = [&](size_t i) { return inMetres(piece.polygon[i]); };
-      for (size_t i = 1; i + 1 < piece.polygon.size(); ++i) {
+      eachTriangle(piece, side.back, [&](Vec3 a, Vec3 b, Vec3 c) {
         PatchTriangle& t = set_.triangles[at++];
-        t.a = metres(0);
-        t.b = metres(side.back ? i + 1 : i);
-        t.c = metres(side.back ? i : i + 1);
-        t.source = piece.triangle;
+        t = {.a = a, .b = b, .c = c, .source = piece.triangle};
         const Vec3 n = cross(t.b - t.a, t.c - t.a) * 0.5f;
         const float whole = length(n);
         const float opaque = whole * mean.add(scene_, t.source, t.a, t.b, t.c, whole);
@@ -252,7 +244,7 @@ class PatchBuilder {
         patch.bounds.add(t.a);
         patch.bounds.add(t.b);
         patch.bounds.add(t.c);
-      }
+      });
     }
     // A patch of holes alone, or one that underflows, keeps a token area: it has a row, and nothing sees it.
     const double least = 1e-8 * static_cast<double>(s) * static_cast<double>(s);

@@ -1,23 +1,10 @@
 // Convex polygons in space, in units of cells: cut by planes, clipped, compared border to border.
 #pragma once
-#include <cmath>
 #include <vector>
 
-namespace ff::bake {
+#include "bake/point.h"
 
-struct Point {
-  double x = 0, y = 0, z = 0;
-  double& operator[](int i) { return i == 0 ? x : i == 1 ? y : z; }
-  double operator[](int i) const { return i == 0 ? x : i == 1 ? y : z; }
-};
-inline Point operator+(Point a, Point b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Point operator*(Point a, double s) { return {a.x * s, a.y * s, a.z * s}; }
-inline double dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline Point cross(Point a, Point b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-inline double length(Point a) { return std::sqrt(dot(a, a)); }
+namespace ff::bake {
 
 using Polygon = std::vector<Point>;  // convex, counter-clockwise seen from the front
 struct Segment {

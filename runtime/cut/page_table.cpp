@@ -1,6 +1,7 @@
 #include "runtime/cut/page_table.h"
 
 #include <algorithm>
+#include <tuple>
 
 namespace ff::runtime {
 namespace {
@@ -57,9 +58,7 @@ void PageTable::setActive(formats::TileId id, uint32_t first_slot) {
   for (uint32_t level = id.level;; --level) {
     toggled.tiles[level] = {first, end};
     if (level == 0) break;
-    // Children of consecutive tiles are consecutive.
-    end = world_.childTiles({level, end - 1}).second;
-    first = world_.childTiles({level, first}).first;
+    std::tie(first, end) = world_.childTiles(level, first, end);
   }
   toggled_.push_back(toggled);
 }

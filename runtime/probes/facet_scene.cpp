@@ -52,13 +52,9 @@ class NearestTiles {
   std::vector<std::tuple<float, uint32_t, uint32_t>> heap_;  // distance, kMaxLevels - level, tile: coarser first where it is the same
 };
 
-// Descendants of consecutive tiles are consecutive.
 uint32_t tilesBeneath(const formats::World& world, formats::TileId id) {
   uint32_t first = id.tile, end = id.tile + 1;
-  for (uint32_t level = id.level; level > 0; --level) {
-    end = world.childTiles({level, end - 1}).second;
-    first = world.childTiles({level, first}).first;
-  }
+  for (uint32_t level = id.level; level > 0; --level) std::tie(first, end) = world.childTiles(level, first, end);
   return end - first;
 }
 

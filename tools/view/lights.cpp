@@ -53,8 +53,7 @@ class Occluders {
 struct ByPatch {
   std::vector<uint32_t> start, order;
   explicit ByPatch(const ViewScene& scene) : start(scene.patches.size() + 1), order(scene.triangles() - scene.sealed.size()) {
-    std::vector<bool> sealed(scene.triangles());
-    for (const uint32_t t : scene.sealed) sealed[t] = true;
+    const std::vector<bool> sealed = scene.whichAreSealed();
     for (uint32_t t = 0; t < sealed.size(); ++t)
       if (!sealed[t]) ++start[scene.triangle_patch[t] + 1];
     for (size_t p = 1; p < start.size(); ++p) start[p] += start[p - 1];

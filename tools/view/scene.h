@@ -19,6 +19,11 @@ struct ViewScene {
   Box bounds;
 
   size_t triangles() const { return triangle_patch.size(); }
+  std::vector<bool> whichAreSealed() const {  // by triangle
+    std::vector<bool> which(triangles());
+    for (const uint32_t t : sealed) which[t] = true;
+    return which;
+  }
 };
 
 // Errors: unreadable strips or geometry; a world that was baked without drawing geometry.

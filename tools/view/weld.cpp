@@ -150,8 +150,7 @@ Weld weldScene(const ViewScene& scene) {
   // classes into those that see each other past what stands on them.
   std::vector<std::pair<uint32_t, uint32_t>> corners_at;
   corners_at.reserve(corners.size());
-  std::vector<bool> sealed(scene.triangles());
-  for (const uint32_t t : scene.sealed) sealed[t] = true;
+  const std::vector<bool> sealed = scene.whichAreSealed();
   for (uint32_t c = 0; c < corners.size(); ++c)
     if (!sealed[c / 3]) corners_at.emplace_back(place_of[c], c);
   const Lists at = makeLists(std::move(corners_at), places.size());
