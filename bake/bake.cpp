@@ -24,12 +24,12 @@
 #include "bake/matrix/pyramid.h"
 #include "bake/matrix/row_samples.h"
 #include "bake/matrix/row_sampling.h"
-#include "bake/matrix/spatial_index.h"
 #include "bake/not_modelled.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/patch_size.h"
 #include "bake/surface/patches.h"
+#include "bake/world_grids.h"
 #include "formats/strip_codec.h"
 #include "formats/version.h"
 #include "formats/writer.h"
@@ -152,12 +152,16 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   };
   std::vector<Entry> entries;
   const uint32_t least = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
+  const formats::TileName& name = h.names[id.level][id.tile];
+  uint64_t seed = mix64(s.seed + id.level);  // of the name alone
+  for (const int32_t x : name.chunk) seed = mix64(seed + static_cast<uint32_t>(x));
+  seed = mix64(seed + name.tile);
   ExchangeRow row;
   SampledRow sampled;
   for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
     exchange.row(n, row);
     const uint32_t quanta = std::min(least * samples.factor(n, row, least), formats::kMaxQuanta);
-    const double offset = unitOf(s.seed ^ (uint64_t{id.level} << 56) ^ (n + 1ull) * 0x9e3779b97f4a7c15ull);
+    const double offset = unitOf(seed + n - strip.first_node);
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.rays))))
@@ -195,23 +199,6 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     strip.counts.push_back(e.count);
   }
   return strip;
-}
-
-void moveToWorld(const std::array<double, 3>& origin, PatchSet& set) {
-  const auto move = [&](Vec3& p) {
-    for (int a = 0; a < 3; ++a) p[a] = static_cast<float>(static_cast<double>(p[a]) + origin[static_cast<size_t>(a)]);
-  };
-  for (PatchTriangle& t : set.triangles)
-    for (Vec3* p : {&t.a, &t.b, &t.c}) move(*p);
-  for (SealedTriangle& t : set.sealed)
-    for (Vec3* p : {&t.a, &t.b, &t.c}) move(*p);
-  for (Patch& p : set.patches) {
-    for (int a = 0; a < 3; ++a) {
-      const double cell = (static_cast<double>(p.centroid[a]) + origin[static_cast<size_t>(a)]) / static_cast<double>(set.cell_m);
-      p.cell[static_cast<size_t>(a)] = static_cast<int32_t>(std::floor(std::clamp(cell, -2e9, 2e9)));
-    }
-    for (Vec3* q : {&p.centroid, &p.bounds.lo, &p.bounds.hi}) move(*q);
-  }
 }
 
 std::string percent(double share) {
@@ -333,11 +320,10 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.absorbed_fraction /= stats.area_m2;
   if (auto line = lightOnBacks(scene, *set, hits, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
 
-  // From here on in the world's coordinates, which files hold.
-  if (scene.origin != std::array<double, 3>{}) moveToWorld(scene.origin, *set);
-
   // Pooling and the pyramid.
-  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, hits.narrow);
+  std::vector<uint8_t> lamp_lit(n);
+  for (size_t i = 0; i < n; ++i) lamp_lit[i] = !hits.lamps[i].empty();
+  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, hits.narrow, lamp_lit);
   std::vector<std::unique_ptr<ExchangeLevel>> exchange;
   std::vector<std::vector<NodeValues>> values;
   values.push_back(patchValues(set->patches, hierarchy));
@@ -387,7 +373,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
               makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], samples[l], lamp_groups, settings, sampling[k]);
           Box bounds;
           for (size_t i = 0; i < strip.nodes.size(); ++i) bounds.add(values[l][strip.first_node + i].bounds);
-          encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds));
+          encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds, hierarchy.names[l]));
         });
         for (uint32_t k = 0; k < count; ++k) {
           if (!*encoded[k]) return encoded[k]->error();
@@ -396,7 +382,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
           off.insert(off.end(), sampling[k].off.begin(), sampling[k].off.end());
           lowered.insert(lowered.end(), sampling[k].clamped_patches.begin(), sampling[k].clamped_patches.end());
           level.entries += (*encoded[k])->info.entries;
-          level.stored_bytes += (*encoded[k])->info.stored_bytes;
+          level.stored_bytes += (*encoded[k])->info.strip.stored_bytes;
           if (auto ok = writer->addStrip(std::move(**encoded[k])); !ok) return ok.error();
           ++report.done;
         }
@@ -404,6 +390,23 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
       exchange[l].reset();
     }
   }
+
+  formats::WorldInfo info;
+  info.cell_m = set->cell_m;
+  info.origin = scene.origin;
+  for (const Patch& p : set->patches) info.bounds.add(p.bounds);
+  info.rays = settings.rays;
+  info.quanta = settings.quanta;
+  info.seed = settings.seed;
+  info.bake_key = bakeKey(scene, settings, set->cell_m);
+  info.generator = "ffbake " FF_VERSION;
+  info.scene = scene.name;
+  info.row_total_deviation = static_cast<float>(deviation);
+  info.area_m2 = stats.area_m2;
+  info.triangles = scene.triangles.size();
+  info.absorbed_fraction = stats.absorbed_fraction;
+  info.lamp_groups = lamp_groups;
+  info.lights = scene.lights;
 
   // Drawing geometry.
   std::vector<uint32_t> patch_of(n);
@@ -430,35 +433,17 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
       for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i)
         draw(i, std::ranges::equal_range(set->sealed, patch_of[i], {}, &SealedTriangle::patch));
       geometry.sealed = static_cast<uint32_t>(geometry.patch.size() - exposed);
-      if (auto ok = writer->addGeometry(geometry); !ok) return ok.error();
+      if (auto ok = writer->addGeometry(geometry, info); !ok) return ok.error();
     }
   }
 
-  // Manifest.
-  std::vector<std::pair<Cell, uint32_t>> cell_tiles;
-  for (uint32_t t = 0; t + 1 < tiles.size(); ++t)
-    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i)
-      for (const Cell& cell : set->cellsOf(set->patches[patch_of[i]])) cell_tiles.emplace_back(cell, t);
-  std::vector<float> cells;
-  for (uint32_t l = 0; l < hierarchy.levels(); ++l) cells.push_back(std::ldexp(set->cell_m, static_cast<int>(l)));
-  formats::WorldInfo info;
-  info.cell_m = set->cell_m;
-  for (const Patch& p : set->patches) info.bounds.add(p.bounds);
-  info.rays = settings.rays;
-  info.quanta = settings.quanta;
-  info.seed = settings.seed;
-  info.bake_key = bakeKey(scene, settings, set->cell_m);
-  info.generator = "ffbake " FF_VERSION;
-  info.scene = scene.name;
-  info.row_total_deviation = static_cast<float>(deviation);
-  info.area_m2 = stats.area_m2;
-  info.triangles = scene.triangles.size();
-  info.absorbed_fraction = stats.absorbed_fraction;
-  info.lamp_groups = lamp_groups;
-  info.lights = scene.lights;
-  if (auto ok = writer->finish(info, hierarchy.parents, cells, buildSpatialIndex(cell_tiles, set->cell_m)); !ok)
-    return ok.error();
+  if (auto ok = writer->finish(info, hierarchy.parents); !ok) return ok.error();
   stats.warnings.insert(stats.warnings.end(), writer->warnings().begin(), writer->warnings().end());
+  if (!settings.vdb_path.empty()) {
+    std::vector<Cell> cells;
+    for (const Patch& p : set->patches) cells.push_back(p.cell);
+    if (auto ok = writeWorldGrids(settings.vdb_path, cells, set->cell_m, scene.origin); !ok) return ok.error();
+  }
   stats.not_modelled = notModelled(scene);
   for (uint32_t& i : lowered) i = patch_of[i];
   if (auto line = loweredAlbedos(scene, *set, lowered)) stats.not_modelled.push_back(std::move(*line));

@@ -37,6 +37,7 @@ struct BakeSettings {
   uint64_t memory_bytes = 0;      // a bake that would need more is refused; 0: what the machine has free
   std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
   bool geometry = true;           // write drawing geometry
+  std::string vdb_path{};          // where to write the world's cells as OpenVDB grids (world_grids.h); empty: nowhere
 };
 
 struct LevelStats {
@@ -58,7 +59,7 @@ struct BakeStats {
 };
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 14;
+inline constexpr uint32_t kBakeCode = 15;
 
 // WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);

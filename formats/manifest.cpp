@@ -1,21 +1,14 @@
 #include "formats/manifest.h"
 
-#include <zstd.h>
-
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <memory>
 #include <optional>
 
 #include "formats/checksum.h"
 
 namespace ff::formats {
 namespace {
-
-struct StreamFree {
-  void operator()(ZSTD_DStream* s) const { ZSTD_freeDStream(s); }
-};
 
 Error broken(uint64_t offset, const std::string& message) {
   return {ErrorCode::kInvalidFile, "", "offset " + std::to_string(offset), message,
@@ -70,11 +63,11 @@ Result<Sections> readSections(std::span<const std::byte> file) {
     if (hashBytes(bytes) != s.checksum) return broken(s.offset, "section checksum mismatch");
     if ((s.kind & kSectionOptional) != 0) continue;
     if (sections[s.kind]) return broken(at, "has a section twice");
-    if (s.kind != kSectionGrid && s.raw_bytes != s.stored_bytes) return broken(at, "section sizes disagree");
+    if (s.raw_bytes != s.stored_bytes) return broken(at, "section sizes disagree");
     sections[s.kind] = Section{s, bytes};
   }
   if (end != file.size()) return broken(end, "has bytes after the last section");
-  for (uint32_t kind : {kSectionInfo, kSectionLevels, kSectionShards, kSectionParents})
+  for (uint32_t kind : {kSectionInfo, kSectionLevels, kSectionShards, kSectionRoot})
     if (!sections[kind]) return broken(kManifestHeaderBytes, "lacks section " + std::to_string(kind));
   return sections;
 }
@@ -94,7 +87,7 @@ Result<void> readInfo(const Section& s, WorldInfo& info) {
   ByteReader r(s.bytes);
   WorldInfoRecord::fields(r, info);
   if (auto ok = finished(r, s); !ok) return ok;
-  if (!(info.cell_m > 0) || !std::isfinite(info.cell_m) || !finite(info.grid_origin) || !finite(info.bounds.lo) ||
+  if (!(info.cell_m > 0) || !std::isfinite(info.cell_m) || !std::isfinite(info.origin[0] + info.origin[1] + info.origin[2]) || !finite(info.bounds.lo) ||
       !finite(info.bounds.hi) || info.bounds.empty() || !std::isfinite(info.row_total_deviation) ||
       !(info.row_total_deviation >= 0) || !std::isfinite(info.area_m2) || !std::isfinite(info.absorbed_fraction) ||
       info.quanta > kMaxQuanta)
@@ -102,16 +95,19 @@ Result<void> readInfo(const Section& s, WorldInfo& info) {
   return {};
 }
 
-Result<void> readLevels(const Section& s, std::vector<LevelInfo>& levels) {
+Result<void> readLevels(const Section& s, float cell_m, std::vector<LevelInfo>& levels) {
   const size_t n = s.bytes.size() / kLevelRecordBytes;
   if (n < 1 || n > kMaxLevels) return broken(s.record.offset, "has " + std::to_string(n) + " levels");
   ByteReader r(s.bytes);
-  levels.resize(n);
-  for (LevelInfo& level : levels) {
-    LevelRecord::fields(r, level);
-    if (level.nodes < 1 || level.tiles < 1 || level.tiles > level.nodes || !(level.cell_m > 0) ||
-        !std::isfinite(level.cell_m))
-      return broken(s.record.offset, "level holds a value that cannot be");
+  for (size_t l = 0; l < n; ++l) {
+    LevelRecord x;
+    LevelRecord::fields(r, x);
+    if (x.nodes < 1 || x.tiles < 1 || x.tiles > x.nodes) return broken(s.record.offset, "level holds a value that cannot be");
+    if (x.nodes >= kNoParent)
+      return Error{ErrorCode::kInvalidFile, "", "offset " + std::to_string(s.record.offset),
+                   "level " + std::to_string(l) + " has " + std::to_string(x.nodes) + " nodes, this reader numbers 4294967294 at most",
+                   "use a newer Formfield, or larger patches"};
+    levels.push_back({static_cast<uint32_t>(x.nodes), static_cast<uint32_t>(x.tiles), x.entries, x.stored_bytes, std::ldexp(cell_m, static_cast<int>(l))});
   }
   return finished(r, s);
 }
@@ -143,37 +139,8 @@ Result<void> readShards(const Section& s, std::vector<ShardRecord>& shards) {
     ShardRecord& shard = shards.emplace_back();
     ShardRecord::fields(r, shard);
     if (!r.ok()) break;
-    if (shard.kind > kKindGeometry) return broken(at, "shard has an unknown kind");
+    if (shard.kind >= kShardKinds) return broken(at, "shard has an unknown kind");
     if (!isPlainFileName(shard.name)) return broken(at, "shard is not named by a plain file name");
-  }
-  return finished(r, s);
-}
-
-Result<void> readLinks(const Section& s, std::span<const LevelInfo> levels, std::vector<LevelLinks>& links) {
-  ByteReader r(s.bytes);
-  for (size_t l = 0; l + 1 < levels.size(); ++l) {
-    LevelLinks& level = links.emplace_back();
-    const auto read = [&](uint32_t children, uint32_t parents, const char* what, ParentLinks& out) -> Result<void> {
-      const size_t words = (size_t{children} + 63) / 64;
-      const std::string name = "parent links of level " + std::to_string(l) + "'s " + what;
-      if (r.remaining() / 8 < words) return broken(s.record.offset, name + " are cut off");
-      std::vector<uint64_t> bits(words);
-      for (uint64_t& w : bits) r.u64(w);
-      if ((bits[0] & 1) == 0) return broken(s.record.offset, name + " do not begin with a parent");
-      if (children % 64 != 0 && bits.back() >> (children % 64) != 0)
-        return broken(s.record.offset, name + " go past the last one");
-      out = ParentLinks(std::move(bits), children);
-      if (out.parents() != parents)
-        return broken(s.record.offset, name + " have " + std::to_string(out.parents()) + " parents, level " +
-                                           std::to_string(l + 1) + " has " + std::to_string(parents));
-      return {};
-    };
-    if (auto ok = read(levels[l].tiles, levels[l + 1].tiles, "tiles", level.tiles); !ok) return ok;
-    if (auto ok = read(levels[l].nodes, levels[l + 1].nodes, "nodes", level.families); !ok) return ok;
-    if (r.remaining() < levels[l + 1].nodes)
-      return broken(s.record.offset, "places of the parents of level " + std::to_string(l) + " are cut off");
-    level.places.resize(levels[l + 1].nodes);
-    for (uint8_t& place : level.places) r.u8(place);
   }
   return finished(r, s);
 }
@@ -193,33 +160,6 @@ Result<void> readLampGroups(const Section& s, std::vector<LampGroup>& groups) {
   return finished(r, s);
 }
 
-// The size in the table is not believed: memory grows with what the frame yields, up to max_bytes.
-Result<void> readGrid(const Section& s, uint64_t max_bytes, std::vector<GridLine>& grid, size_t& grid_bytes) {
-  const uint64_t raw_bytes = s.record.raw_bytes;
-  if (raw_bytes > max_bytes)
-    return broken(s.record.offset, "spatial grid has " + std::to_string(raw_bytes) + " bytes, for the world's patches " +
-                                       std::to_string(max_bytes) + " are allowed");
-  std::unique_ptr<ZSTD_DStream, StreamFree> stream(ZSTD_createDStream());
-  if (!stream) return Error{ErrorCode::kIo, "", "", "out of memory for decompression", ""};
-  ZSTD_inBuffer in{s.bytes.data(), s.bytes.size(), 0};
-  size_t done = 0, left = 1;
-  while (left != 0) {
-    if (done == grid.size() * sizeof(GridLine)) grid.resize(std::max<size_t>(4096, grid.size() * 2));
-    const size_t room = static_cast<size_t>(std::min<uint64_t>(grid.size() * sizeof(GridLine) - done, raw_bytes - done));
-    ZSTD_outBuffer out{grid.data()->bytes + done, room, 0};
-    const size_t before = in.pos;
-    left = ZSTD_decompressStream(stream.get(), &out, &in);
-    done += out.pos;
-    if (ZSTD_isError(left)) return broken(s.record.offset, std::string("spatial grid: zstd: ") + ZSTD_getErrorName(left));
-    if (left != 0 && out.pos == 0 && in.pos == before) return broken(s.record.offset, "spatial grid has the wrong size");
-  }
-  if (done != raw_bytes || in.pos != in.size) return broken(s.record.offset, "spatial grid has the wrong size");
-  grid.resize((done + sizeof(GridLine) - 1) / sizeof(GridLine));
-  grid.shrink_to_fit();
-  grid_bytes = done;
-  return {};
-}
-
 }  // namespace
 
 bool isPlainFileName(const std::string& name) {
@@ -232,13 +172,13 @@ Result<Manifest> parseManifest(std::span<const std::byte> bytes) {
   if (!sections) return sections.error();
   Manifest m;
   if (auto ok = readInfo(*(*sections)[kSectionInfo], m.info); !ok) return ok.error();
-  if (auto ok = readLevels(*(*sections)[kSectionLevels], m.levels); !ok) return ok.error();
+  if (auto ok = readLevels(*(*sections)[kSectionLevels], m.info.cell_m, m.levels); !ok) return ok.error();
   if (auto ok = readShards(*(*sections)[kSectionShards], m.shards); !ok) return ok.error();
-  if (auto ok = readLinks(*(*sections)[kSectionParents], m.levels, m.links); !ok) return ok.error();
+  auto root = decodeRoot(m.levels, (*sections)[kSectionRoot]->bytes);
+  if (!root) return root.error();
+  m.root = std::move(*root);
   if ((*sections)[kSectionLampGroups])
     if (auto ok = readLampGroups(*(*sections)[kSectionLampGroups], m.info.lamp_groups); !ok) return ok.error();
-  if ((*sections)[kSectionGrid])
-    if (auto ok = readGrid(*(*sections)[kSectionGrid], maxGridBytes(m.links.empty() ? 0 : m.levels[0].nodes), m.grid, m.grid_bytes); !ok) return ok.error();
   if ((*sections)[kSectionLights])
     if (auto ok = readLights(*(*sections)[kSectionLights], m.info.lights); !ok) return ok.error();
   return m;

@@ -18,11 +18,27 @@ inline constexpr uint32_t kMaxRowFactor = 8;          // a row may have so many 
 inline constexpr uint32_t kNoParent = 0xffffffffu;
 inline constexpr uint16_t kNoLampGroup = 0xffff;
 inline constexpr uint64_t kShardHeaderBytes = 4096;
+inline constexpr uint32_t kNoShard = 0xffffffffu;
 
 // Samples of a row, at most, in a world of `quanta`: what a reader's bounds on memory rest on. Writer and reader refuse more.
 constexpr uint32_t maxRowQuanta(uint32_t quanta) { return quanta > kMaxQuanta / kMaxRowFactor ? kMaxQuanta : quanta * kMaxRowFactor; }
 
-// A tile of one level. Level 0 holds the patches.
+// A chunk is a cube of kChunkCells cells of one level a side, numbered from the grid's origin: cell >> kChunkLog. The eight chunks of level l
+// that lie in one of level l + 1 are its children. What a file says of a tile it says relative to the tile's chunk.
+inline constexpr int kChunkLog = 5;
+inline constexpr int32_t kChunkCells = 1 << kChunkLog;
+using ChunkCell = std::array<int32_t, 3>;
+inline constexpr uint32_t kMaxChunkTiles = 65535;
+
+// The name of a tile, beside its level: it depends on nothing outside the chunk.
+struct TileName {
+  ChunkCell chunk{};
+  uint32_t tile = 0;  // number within the chunk
+  friend bool operator==(const TileName&, const TileName&) = default;
+};
+
+// A tile of one level by its number in the world's order: chunk by chunk down the tree of chunks, children in their parent's order. A
+// handle for memory, made from the index where it is read; no file holds it. Level 0 holds the patches.
 struct TileId {
   uint32_t level = 0;
   uint32_t tile = 0;
@@ -68,7 +84,7 @@ struct LampLight {
 
 // The entries of a strip whose columns lie in one partner tile (of the strip's own level).
 struct Block {
-  uint32_t partner_tile = 0;
+  uint32_t partner_tile = 0;  // of the strip's own level
   uint32_t entries = 0;
 };
 
@@ -95,24 +111,39 @@ struct TileGeometry {
   size_t exposed() const { return patch.size() - sealed; }  // triangles of the patches themselves: the first
 };
 
-// Where a strip lies and what it covers; one fixed-size record in the shard's index.
+// Where bytes lie, and what they must be.
+struct Extent {
+  uint32_t shard = kNoShard;     // index into World::shards
+  uint64_t offset = 0;           // bytes from the start of the shard
+  uint32_t stored_bytes = 0;
+  uint32_t raw_bytes = 0;        // of what is compressed in them
+  uint64_t checksum = 0;         // XXH3-64 of the stored bytes
+  friend bool operator==(const Extent&, const Extent&) = default;
+};
+
+// Where a tile's strip lies and what it covers.
 struct TileInfo {
   TileId id;
-  uint32_t shard = 0;            // index into World::shards
-  uint64_t offset = 0;           // of the strip's header, bytes from the start of the shard
-  uint32_t stored_bytes = 0;     // header and compressed payload
-  uint32_t raw_bytes = 0;        // payload after decompression
-  uint32_t first_node = 0;
+  Extent strip;                  // header and compressed payload
+  uint32_t first_node = 0;       // number within the level, in the order of tiles
   uint32_t nodes = 0;
   uint32_t entries = 0;
+  uint32_t parent_tile = kNoParent;  // tile of the level above that holds the parents of all of its nodes
+  uint32_t first_child = 0, end_child = 0;  // tiles of the level below whose parent tile this is: first, last + 1
   Box bounds;                    // m, of the tile's patches (surfaces, not just centroids)
+};
+
+// Drawing geometry of a tile.
+struct GeometryInfo {
+  Extent strip;
+  uint32_t triangles = 0;
 };
 
 struct LevelInfo {
   uint32_t nodes = 0;
   uint32_t tiles = 0;
   uint64_t entries = 0;
-  uint64_t stored_bytes = 0;     // strips and their index records
+  uint64_t stored_bytes = 0;     // strips, and the index of their chunks
   float cell_m = 0;              // edge of this level's grid cell
 };
 
@@ -142,7 +173,8 @@ struct Light {
 // What the baker was told and what it measured; the head of the manifest.
 struct WorldInfo {
   float cell_m = 1;              // patch size
-  Vec3 grid_origin;              // corner of level-0 cell (0,0,0); cell = floor((p - origin) / cell_m)
+  std::array<double, 3> origin{};  // m, in the source's world space: where all coordinates here count from, and the corner of cell
+                                 // (0,0,0) of every level; cell = floor(p / cell_m). Zero but for scenes that stand far away.
   Box bounds;                    // m
   uint32_t rays = 0;             // per patch
   uint32_t quanta = 0;           // Q: samples of a row, by rule; see maxRowQuanta

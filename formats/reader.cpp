@@ -1,6 +1,10 @@
 #include "formats/reader.h"
 
+#include <zstd.h>
+
 #include <algorithm>
+#include <map>
+#include <mutex>
 #include <new>
 
 #include "formats/checksum.h"
@@ -12,20 +16,23 @@
 namespace ff::formats {
 
 struct World::State {
-  std::string path;
+  std::string path, folder;
+  StoragePtr storage;
   Manifest manifest;
   std::vector<ShardInfo> shards;
-  std::vector<std::unique_ptr<StoredFile>> files;  // of `shards`
-  std::vector<std::string> shard_paths;
-  // By level, then by tile.
-  std::vector<std::vector<TileInfo>> tiles;
-  std::vector<std::vector<uint64_t>> checksums;
-  // By level: the tile of node 256 k; a tile has at most 256 nodes, so tileOf() has few tiles to look at.
-  std::vector<std::vector<uint32_t>> tile_of_every_256th;
-  // By level, then by node: number of the family (formats/parent_links.h) of its children; empty at level 0.
-  std::vector<std::vector<uint32_t>> family_of_children;
-  // Geometry by level-0 tile; empty without geometry.
-  std::vector<ShardEntry> geometry;
+  // Guards what follows; held while a shard is opened, not while one is read.
+  mutable std::mutex mutex;
+  mutable std::vector<std::unique_ptr<StoredFile>> files;                 // of `shards`; null: not opened yet
+  mutable std::map<TileId, std::weak_ptr<const Chunk>> chunks;            // by their first tile
+  mutable size_t sweep_at = 64;                                           // chunks: expired ones are forgotten then
+
+  Result<const StoredFile*> file(uint32_t shard) const;
+  // Whether what the index names is there, as the manifest has it.
+  bool holds(uint32_t kind, const Extent& e) const {
+    return e.shard < shards.size() && shards[e.shard].kind == kind && e.offset >= kShardHeaderBytes && e.offset <= shards[e.shard].bytes &&
+           e.stored_bytes <= shards[e.shard].bytes - e.offset;
+  }
+  std::string pathOf(uint32_t shard) const { return folder + shards[shard].name; }
 };
 
 namespace {
@@ -37,80 +44,6 @@ Error inFile(Error e, const std::string& path) {
   return e;
 }
 
-// Tiles come from the coarsest level to level 0, ascending, without gaps: FORMAT.md section 3.4.
-Result<void> takeEntries(std::vector<ShardEntry> entries, const Manifest& m, const std::string& path,
-                         std::vector<std::vector<TileInfo>>& tiles, std::vector<std::vector<uint64_t>>& checksums,
-                         size_t& level) {
-  for (ShardEntry& e : entries) {
-    const TileInfo& t = e.info;
-    const auto bad = [&](const char* what) {
-      return Error{ErrorCode::kInvalidFile, path,
-                   "strip " + std::to_string(t.id.level) + ":" + std::to_string(t.id.tile) + " at offset " +
-                       std::to_string(t.offset),
-                   what, kRemedy};
-    };
-    while (level > 0 && tiles[level].size() == m.levels[level].tiles) --level;
-    if (t.id.level != level || t.id.tile != tiles[level].size() || t.id.tile >= m.levels[level].tiles)
-      return bad("is not the strip that should follow");
-    const uint32_t first = tiles[level].empty() ? 0 : tiles[level].back().first_node + tiles[level].back().nodes;
-    if (t.first_node != first || t.nodes < 1 || t.nodes > kTileNodes || t.nodes > m.levels[level].nodes - first)
-      return bad("nodes do not follow those of the tile before");
-    if (level < m.links.size() && !m.links[level].families.startsParent(first)) return bad("siblings lie in two tiles");
-    tiles[level].push_back(t);
-    checksums[level].push_back(e.checksum);
-  }
-  return {};
-}
-
-// The levels' totals in the manifest against the strips that are there.
-Result<void> checkTotals(const Manifest& m, const std::vector<std::vector<TileInfo>>& tiles, const std::string& path) {
-  for (size_t l = 0; l < m.levels.size(); ++l) {
-    LevelInfo sum;
-    for (const TileInfo& t : tiles[l]) {
-      sum.nodes += t.nodes;
-      sum.entries += t.entries;
-      sum.stored_bytes += t.stored_bytes + kIndexRecordBytes;
-    }
-    if (tiles[l].size() != m.levels[l].tiles || sum.nodes != m.levels[l].nodes || sum.entries != m.levels[l].entries ||
-        sum.stored_bytes != m.levels[l].stored_bytes)
-      return Error{ErrorCode::kInvalidFile, path, "level " + std::to_string(l),
-                   "shards do not hold what the manifest promises", kRemedy};
-  }
-  return {};
-}
-
-// By node of level + 1: the family of its children. Errors: places that are not each node's, once, in the order of FORMAT.md section 2.6.
-Result<std::vector<uint32_t>> familiesByParent(const LevelLinks& links, std::span<const TileInfo> tiles,
-                                               std::span<const TileInfo> above, const std::string& path) {
-  constexpr uint32_t kNone = 0xffffffffu;
-  std::vector<uint32_t> family_of(links.places.size(), kNone);
-  for (const TileInfo& tile : tiles) {
-    const TileInfo& parents = above[links.tiles.parent(tile.id.tile)];
-    const uint32_t first = links.families.parent(tile.first_node), last = links.families.parent(tile.first_node + tile.nodes - 1);
-    for (uint32_t family = first; family <= last; ++family) {
-      const uint32_t place = links.places[family];
-      if (place >= parents.nodes || (family > first && place <= links.places[family - 1]) ||
-          family_of[parents.first_node + place] != kNone)
-        return Error{ErrorCode::kInvalidFile, path,
-                     "parents of tile " + std::to_string(tile.id.level) + ":" + std::to_string(tile.id.tile),
-                     "are not nodes of the tile above, each once and ascending", kRemedy};
-      family_of[parents.first_node + place] = family;
-    }
-  }
-  return family_of;
-}
-
-std::vector<uint32_t> tileDirectory(std::span<const TileInfo> tiles, uint32_t nodes) {
-  std::vector<uint32_t> directory;
-  directory.reserve(nodes / kTileNodes + 1);
-  uint32_t tile = 0;
-  for (uint64_t node = 0; node < nodes; node += kTileNodes) {
-    while (tiles[tile].first_node + uint64_t{tiles[tile].nodes} <= node) ++tile;
-    directory.push_back(tile);
-  }
-  return directory;
-}
-
 }  // namespace
 
 Result<World> World::open(const std::string& path, const StoragePtr& storage) try {
@@ -119,45 +52,14 @@ Result<World> World::open(const std::string& path, const StoragePtr& storage) tr
   auto manifest = parseManifest(*bytes);
   if (!manifest) return inFile(manifest.error(), path);
   auto state = std::make_unique<State>();
-  State& s = *state;
-  s.path = path;
-  s.manifest = std::move(*manifest);
-  const Manifest& m = s.manifest;
-  const std::string folder = path.substr(0, path.size() - fileNameOf(path).size());
-  s.tiles.resize(m.levels.size());
-  s.checksums.resize(m.levels.size());
-  size_t level = m.levels.size() - 1;
-  for (uint32_t i = 0; i < m.shards.size(); ++i) {
-    const ShardRecord& record = m.shards[i];
-    const std::string shard_path = folder + record.name;
-    auto shard = openShard(*storage, shard_path, record, i);
-    if (!shard) return shard.error();
-    if (record.kind == kKindRows) {
-      if (auto ok = takeEntries(std::move(shard->entries), m, shard_path, s.tiles, s.checksums, level); !ok)
-        return ok.error();
-    } else {
-      for (ShardEntry& e : shard->entries) {
-        if (e.info.id.level != 0 || e.info.id.tile != s.geometry.size())
-          return Error{ErrorCode::kInvalidFile, shard_path, "offset " + std::to_string(e.info.offset),
-                       "is not the geometry that should follow", kRemedy};
-        s.geometry.push_back(e);
-      }
-    }
-    s.shards.push_back({record.name, record.bytes, record.kind == kKindGeometry, shard->file->descriptor()});
-    s.files.push_back(std::move(shard->file));
-    s.shard_paths.push_back(shard_path);
-  }
-  if (auto ok = checkTotals(m, s.tiles, path); !ok) return ok.error();
-  if (!s.geometry.empty() && s.geometry.size() != s.tiles[0].size())
-    return Error{ErrorCode::kInvalidFile, path, "", "geometry does not cover every tile", kRemedy};
-  s.family_of_children.resize(m.levels.size());
-  for (size_t l = 0; l < m.links.size(); ++l) {
-    auto families = familiesByParent(m.links[l], s.tiles[l], s.tiles[l + 1], path);
-    if (!families) return families.error();
-    s.family_of_children[l + 1] = std::move(*families);
-  }
-  for (size_t l = 0; l < m.levels.size(); ++l)
-    s.tile_of_every_256th.push_back(tileDirectory(s.tiles[l], m.levels[l].nodes));
+  state->path = path;
+  state->folder = path.substr(0, path.size() - fileNameOf(path).size());
+  state->storage = storage;
+  state->manifest = std::move(*manifest);
+  for (const ShardRecord& record : state->manifest.shards) state->shards.push_back({record.name, record.bytes, record.kind});
+  state->files.resize(state->shards.size());
+  for (const ChildChunk& chunk : state->manifest.root->children)
+    if (!state->holds(kKindIndex, chunk.record)) return Error{ErrorCode::kInvalidFile, path, "", "its root names bytes outside the shards", kRemedy};
   return World(std::move(state));
 } catch (const std::bad_alloc&) {
   return Error{ErrorCode::kIo, path, "", "out of memory while opening the world", "close other programs"};
@@ -172,100 +74,239 @@ const std::string& World::path() const { return state_->path; }
 const WorldInfo& World::info() const { return state_->manifest.info; }
 std::span<const LevelInfo> World::levels() const { return state_->manifest.levels; }
 std::span<const ShardInfo> World::shards() const { return state_->shards; }
-std::span<const TileInfo> World::tiles(uint32_t level) const { return state_->tiles[level]; }
+const ChunkPtr& World::root() const { return state_->manifest.root; }
 
-uint32_t World::tileOf(uint32_t level, uint32_t node) const {
-  const std::vector<TileInfo>& tiles = state_->tiles[level];
-  uint32_t tile = state_->tile_of_every_256th[level][node / kTileNodes];
-  while (tiles[tile].first_node + tiles[tile].nodes <= node) ++tile;
-  return tile;
+Result<const StoredFile*> World::State::file(uint32_t shard) const {
+  const std::lock_guard lock(mutex);
+  if (!files[shard]) {
+    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard]);
+    if (!opened) return opened.error();
+    files[shard] = std::move(*opened);
+  }
+  return files[shard].get();
 }
 
-uint32_t World::parent(uint32_t level, uint32_t node) const {
-  if (level >= state_->manifest.links.size()) return kNoParent;
-  return state_->tiles[level + 1][parentTile({level, tileOf(level, node)})].first_node + placeOfParent(level, node);
+Result<int> World::descriptor(uint32_t shard) const {
+  auto file = state_->file(shard);
+  if (!file) return file.error();
+  return (*file)->descriptor();
 }
 
-std::pair<uint32_t, uint32_t> World::children(uint32_t level, uint32_t node) const {
-  return state_->manifest.links[level - 1].families.children(state_->family_of_children[level][node]);
+Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options) const {
+  FF_CHECK_EQ(out.size(), size_t{extent.stored_bytes});
+  auto file = state_->file(extent.shard);
+  if (!file) return file.error();
+  return (*file)->read(extent.offset, out, options);
 }
 
-uint32_t World::parentTile(TileId id) const { return state_->manifest.links[id.level].tiles.parent(id.tile); }
-
-std::pair<uint32_t, uint32_t> World::childTiles(uint32_t level, uint32_t first, uint32_t end) const {
-  const ParentLinks& links = state_->manifest.links[level - 1].tiles;
-  const auto of_first = links.children(first);
-  return {of_first.first, end - first == 1 ? of_first.second : links.children(end - 1).second};
-}
-
-uint32_t World::placeOfParent(uint32_t level, uint32_t node) const {
-  const LevelLinks& links = state_->manifest.links[level];
-  return links.places[links.families.parent(node)];
-}
-
-Result<void> World::decodeStrip(TileId id, std::span<const std::byte> stored, Strip& out) const {
+Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try {
   const State& s = *state_;
-  if (id.level >= s.tiles.size() || id.tile >= s.tiles[id.level].size())
-    return Error{ErrorCode::kUsage, s.path, "", 
-                 "has no tile " + std::to_string(id.level) + ":" + std::to_string(id.tile), "see ffinspect info"};
-  const TileInfo& info = s.tiles[id.level][id.tile];
-  auto ok = decodeStripBytes(info, s.checksums[id.level][id.tile], s.tiles[id.level], s.manifest.info.quanta, stored, out);
-  if (!ok) return inFile(ok.error(), s.shard_paths[info.shard]);
-  if (id.level < s.manifest.links.size()) {
-    const uint32_t first = s.tiles[id.level + 1][parentTile(id)].first_node;
-    for (uint32_t i = 0; i < info.nodes; ++i) out.nodes[i].parent = first + placeOfParent(id.level, info.first_node + i);
+  const TileId key{parent->level - 1, parent->firstTileOf(child)};
+  {
+    const std::lock_guard lock(s.mutex);
+    if (const auto at = s.chunks.find(key); at != s.chunks.end())
+      if (ChunkPtr here = at->second.lock()) return here;
+  }
+  const ChildChunk& wanted = parent->children[child];
+  const auto inRecord = [&](Error e) {
+    if (e.file.empty()) e.file = s.pathOf(wanted.record.shard);
+    return e;
+  };
+  const auto bad = [&](const char* what) {
+    return inRecord({ErrorCode::kInvalidFile, "", chunkText(key.level, wanted.cell) + " at offset " + std::to_string(wanted.record.offset), what, kRemedy});
+  };
+  std::vector<std::byte> stored(wanted.record.stored_bytes);
+  if (auto ok = readStored(wanted.record, stored); !ok) return ok.error();
+  if (hashBytes(stored) != wanted.record.checksum) return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  const size_t frame = ZSTD_findFrameCompressedSize(stored.data(), stored.size());
+  if (ZSTD_isError(frame) || frame != stored.size() || ZSTD_getFrameContentSize(stored.data(), stored.size()) != wanted.record.raw_bytes)
+    return bad("is not one zstd frame of the size that its parent says");
+  std::vector<std::byte> raw(wanted.record.raw_bytes);
+  if (ZSTD_decompress(raw.data(), raw.size(), stored.data(), stored.size()) != raw.size()) return bad("cannot be decompressed");
+  auto chunk = decodeChunk(s.manifest.info, parent, child, raw);
+  if (!chunk) return inRecord(chunk.error());
+  bool inside = true;
+  for (const TileInfo& tile : (*chunk)->tiles) inside = inside && s.holds(kKindRows, tile.strip);
+  for (const GeometryInfo& geometry : (*chunk)->geometry) inside = inside && s.holds(kKindGeometry, geometry.strip);
+  for (const ChildChunk& below : (*chunk)->children) inside = inside && s.holds(kKindIndex, below.record);
+  if (!inside) return bad("names bytes outside the shards");
+  const std::lock_guard lock(s.mutex);
+  if (s.chunks.size() >= s.sweep_at) {
+    std::erase_if(s.chunks, [](const auto& entry) { return entry.second.expired(); });
+    s.sweep_at = std::max<size_t>(64, 2 * s.chunks.size());
+  }
+  std::weak_ptr<const Chunk>& entry = s.chunks[key];
+  if (ChunkPtr here = entry.lock()) return here;  // another thread was faster
+  entry = *chunk;
+  return std::move(*chunk);
+} catch (const std::bad_alloc&) {
+  return Error{ErrorCode::kIo, state_->path, "", "out of memory for a chunk's index", "close other programs"};
+}
+
+Result<ChunkPtr> World::chunkAt(uint32_t level, const ChunkCell& cell, const ChunkPtr& from) const {
+  const auto ancestor = [&](uint32_t l) {
+    ChunkCell c = cell;
+    for (size_t a = 0; a < 3; ++a) c[a] >>= l - level;
+    return c;
+  };
+  ChunkPtr at = from;
+  while (at->parent && at->cell != ancestor(at->level)) at = at->parent;
+  while (at->level > level) {
+    const ChunkCell next = ancestor(at->level - 1);
+    const auto found = std::ranges::find(at->children, next, &ChildChunk::cell);
+    if (found == at->children.end())
+      return Error{ErrorCode::kInvalidFile, state_->path, chunkText(level, cell), "is named but not there", kRemedy};
+    auto below = child(at, static_cast<uint32_t>(found - at->children.begin()));
+    if (!below) return below.error();
+    at = std::move(*below);
+  }
+  return at;
+}
+
+Result<TileRef> World::tile(TileId id) const {
+  if (id.level >= levels().size() || id.tile >= levels()[id.level].tiles)
+    return Error{ErrorCode::kUsage, state_->path, "", "has no tile " + std::to_string(id.level) + ":" + std::to_string(id.tile), "see ffinspect info"};
+  auto chunk = chunkWith(id.level, &LevelCount::tiles, id.tile);
+  if (!chunk) return chunk.error();
+  const uint32_t index = id.tile - (*chunk)->firstTile();
+  return TileRef{std::move(*chunk), index};
+}
+
+Result<TileRef> World::tileOfNode(uint32_t level, uint32_t node) const {
+  if (level >= levels().size() || node >= levels()[level].nodes)
+    return Error{ErrorCode::kUsage, state_->path, "", "has no node " + std::to_string(node) + " of level " + std::to_string(level), "see ffinspect info"};
+  auto chunk = chunkWith(level, &LevelCount::nodes, node);
+  if (!chunk) return chunk.error();
+  const auto after = std::ranges::upper_bound((*chunk)->tiles, node, {}, &TileInfo::first_node);
+  const auto index = static_cast<uint32_t>(after - (*chunk)->tiles.begin()) - 1;
+  return TileRef{std::move(*chunk), index};
+}
+
+// Down the tree, by the counts of what lies in each child. The number is that of a tile or node of the level.
+Result<ChunkPtr> World::chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const {
+  ChunkPtr at = root();
+  while (at->level > level) {
+    uint64_t before = at->first[level].*what;
+    uint32_t k = 0;
+    while (before + at->children[k].counts[level].*what <= number) before += at->children[k++].counts[level].*what;
+    auto below = child(at, k);
+    if (!below) return below.error();
+    at = std::move(*below);
+  }
+  return at;
+}
+
+Result<TileRef> World::tile(uint32_t level, const TileName& name) const {
+  const auto none = [&](const std::string& what) { return Error{ErrorCode::kUsage, state_->path, "", what, "ffinspect locate names what is at a point"}; };
+  if (level >= levels().size()) return none("has no level " + std::to_string(level));
+  auto chunk = chunkAt(level, name.chunk, root());
+  if (!chunk && chunk.error().message == "is named but not there") return none("has no " + chunkText(level, name.chunk));
+  if (!chunk) return chunk.error();
+  if (name.tile >= (*chunk)->tiles.size()) return none(chunkText(level, name.chunk) + " has " + std::to_string((*chunk)->tiles.size()) + " tiles");
+  return TileRef{std::move(*chunk), name.tile};
+}
+
+Result<World::Tiles> World::childTiles(const TileRef& tile) const {
+  const TileInfo& info = tile.info();
+  auto below = child(tile.chunk, tile.chunk->childWith(info.first_child));
+  if (!below) return below.error();
+  const uint32_t first = (*below)->firstTile();
+  return Tiles{std::move(*below), info.first_child - first, info.end_child - first};
+}
+
+Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners) const {
+  const State& s = *state_;
+  const TileInfo& info = tile.info();
+  thread_local std::vector<PartnerName> names;
+  const auto inShard = [&](Error e) {
+    e.file = s.pathOf(info.strip.shard);
+    e.place = tileText(tile) + ", strip at offset " + std::to_string(info.strip.offset);
+    return e;
+  };
+  if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names); !ok) return inShard(ok.error());
+  if (!tile.chunk->isTop()) {
+    const auto index = tile.parentIndex();
+    const uint32_t first = tile.parent().info().first_node;
+    for (uint32_t i = 0; i < info.nodes; ++i) out.nodes[i].parent = first + index[i];
+  }
+  const auto bad = [&](size_t block, const char* what) {
+    return inShard({ErrorCode::kInvalidFile, "", "", "block " + std::to_string(block) + " " + what, kRemedy});
+  };
+  if (partners) partners->clear();
+  ChunkPtr chunk;
+  for (size_t b = 0; b < names.size(); ++b) {
+    ChunkCell cell;
+    for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
+    if (!chunk || chunk->cell != cell) {
+      auto found = chunkAt(tile.chunk->level, cell, chunk ? chunk : tile.chunk);
+      if (!found && found.error().code == ErrorCode::kInvalidFile && found.error().place == chunkText(tile.chunk->level, cell)) return bad(b, "names a chunk that is not there");
+      if (!found) return found.error();
+      chunk = std::move(*found);
+    }
+    if (names[b].tile >= chunk->tiles.size()) return bad(b, "names a tile that its chunk does not have");
+    const TileInfo& partner = chunk->tiles[names[b].tile];
+    if (names[b].columns > partner.nodes) return bad(b, "has a column outside the partner tile");
+    if (b > 0 && partner.id.tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
+    out.blocks[b].partner_tile = partner.id.tile;
+    if (partners) partners->push_back(chunk);
   }
   return {};
 }
 
-Result<void> World::readStored(TileId id, std::span<std::byte> out, const ReadOptions& options) const {
-  const TileInfo& info = state_->tiles[id.level][id.tile];
-  FF_CHECK_EQ(out.size(), size_t{info.stored_bytes});
-  return state_->files[info.shard]->read(info.offset, out, options);
+Result<Strip> World::strip(const TileRef& tile) const try {
+  Strip out;
+  const Extent& extent = tile.info().strip;
+  std::vector<std::byte> stored(extent.stored_bytes);
+  if (auto ok = readStored(extent, stored); !ok) return ok.error();
+  if (auto ok = decodeStrip(tile, stored, out); !ok) return ok.error();
+  return out;
+} catch (const std::bad_alloc&) {
+  return Error{ErrorCode::kIo, state_->path, "", "out of memory for a strip", "close other programs"};
 }
 
 Result<Strip> World::strip(TileId id) const {
-  const State& s = *state_;
-  Strip out;
-  if (id.level >= s.tiles.size() || id.tile >= s.tiles[id.level].size()) {
-    auto refused = decodeStrip(id, {}, out);  // words the refusal
-    return refused.error();
-  }
-  std::vector<std::byte> stored(s.tiles[id.level][id.tile].stored_bytes);
-  if (auto ok = readStored(id, stored); !ok) return ok.error();
-  if (auto ok = decodeStrip(id, stored, out); !ok) return ok.error();
-  return out;
+  auto found = tile(id);
+  if (!found) return found.error();
+  return strip(*found);
 }
 
-bool World::hasGeometry() const { return !state_->geometry.empty(); }
+bool World::hasGeometry() const {
+  return std::ranges::any_of(state_->shards, [](const ShardInfo& s) { return s.kind == kKindGeometry; });
+}
 
-Result<TileGeometry> World::geometry(uint32_t tile) const {
+Result<TileGeometry> World::geometry(uint32_t number) const {
+  auto found = tile(TileId{0, number});
+  if (!found) return found.error();
+  return geometry(*found);
+}
+
+Result<TileGeometry> World::geometry(const TileRef& tile) const {
   const State& s = *state_;
-  if (s.geometry.empty())
+  if (tile.chunk->geometry.empty())
     return Error{ErrorCode::kInvalidFile, s.path, "", "has no drawing geometry", "bake it with drawing geometry"};
-  if (tile >= s.geometry.size())
-    return Error{ErrorCode::kUsage, s.path, "", "has no tile 0:" + std::to_string(tile), "see ffinspect info"};
-  const ShardEntry& entry = s.geometry[tile];
-  const std::string& path = s.shard_paths[entry.info.shard];
-  std::vector<std::byte> stored(entry.info.stored_bytes);
-  if (auto ok = s.files[entry.info.shard]->read(entry.info.offset, stored); !ok) return ok.error();
+  const GeometryInfo& info = tile.chunk->geometry[tile.index];
+  const std::string path = s.pathOf(info.strip.shard);
+  const auto bad = [&](const std::string& what) {
+    return Error{ErrorCode::kInvalidFile, path, tileText(tile) + ", geometry at offset " + std::to_string(info.strip.offset), what, kRemedy};
+  };
+  std::vector<std::byte> stored(info.strip.stored_bytes);
+  if (auto ok = readStored(info.strip, stored); !ok) return ok.error();
+  if (hashBytes(stored) != info.strip.checksum) return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  ByteReader r(std::span<const std::byte>(stored).first(kStripHeaderBytes));
+  StripHeader h;
+  StripHeader::fields(r, h);
+  if (h.magic != kGeometryMagic) return bad("does not begin with FFGM");
+  if (r.reservedUsed()) return bad("uses a reserved byte of the header");
+  if (h.level != 0 || h.entries != info.triangles || h.blocks > h.entries || h.raw_bytes != 0 || h.chunks != 0 || h.payload_bytes != stored.size() - kStripHeaderBytes)
+    return bad("header and index disagree");
   TileGeometry out;
-  out.tile = tile;
-  const auto header = readGeometryHeader(entry, stored);
-  if (!header) return inFile(header.error(), path);
-  const auto payload = std::span<const std::byte>(stored).subspan(kStripHeaderBytes);
-  if (auto ok = decodeGeometry(payload, entry.info.entries, s.tiles[0][tile].nodes, out); !ok) {
-    Error e = inFile(ok.error(), path);
-    e.place = geometryPlace(entry);
-    return e;
-  }
-  out.sealed = header->blocks;
+  out.tile = tile.id().tile;
+  if (auto ok = decodeGeometry(std::span<const std::byte>(stored).subspan(kStripHeaderBytes), info.triangles, tile.info().nodes, out); !ok)
+    return bad(ok.error().message);
+  out.sealed = h.blocks;
+  const std::array<double, 3> corner = chunkCorner(s.manifest.info, 0, tile.chunk->cell);
+  for (Vec3& p : out.positions) p = plusCorner(p, corner);
   return out;
-}
-
-std::span<const std::byte> World::spatialGrid() const {
-  const Manifest& m = state_->manifest;
-  return {m.grid.empty() ? nullptr : m.grid.data()->bytes, m.grid_bytes};
 }
 
 }  // namespace ff::formats

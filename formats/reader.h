@@ -1,5 +1,6 @@
-// Reads a world. Everything small (manifest, shard indices, parent links) is read by open(); strips and geometry are read
-// on demand. All const members are thread-safe (files are read at offsets, there is no shared cursor). Every extent is checked
+// Reads a world. open() reads the manifest alone, whatever the world's size. The index is a tree of chunks (chunk.h) that are read on
+// demand, shared while someone holds them, and forgotten again; strips and geometry are read on demand and belong to the caller. All const
+// members are thread-safe (files are read at offsets, there is no shared cursor). Every extent is checked
 // against the file's size before memory is taken; what a file says can make a call fail, never crash.
 #pragma once
 #include <cstddef>
@@ -8,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/chunk.h"
 #include "formats/model.h"
 #include "formats/result.h"
 #include "formats/storage.h"
@@ -17,8 +19,7 @@ namespace ff::formats {
 struct ShardInfo {
   std::string name;     // beside the manifest
   uint64_t bytes = 0;
-  bool geometry = false;
-  int descriptor = -1;  // open for reading as long as the World lives, for asynchronous readers; never close it. -1: none
+  uint32_t kind = 0;    // kKindRows, kKindGeometry, kKindIndex
 };
 
 class World {
@@ -32,38 +33,50 @@ class World {
   const std::string& path() const;
   const WorldInfo& info() const;
   std::span<const LevelInfo> levels() const;              // [0] = patches
+  uint32_t top() const { return static_cast<uint32_t>(levels().size()) - 1; }  // the coarsest level
   std::span<const ShardInfo> shards() const;
-  std::span<const TileInfo> tiles(uint32_t level) const;  // by tile number
+  // Of a shard that is opened now if it was not: for asynchronous readers, valid as long as the World lives; never close it. -1: the storage has none.
+  Result<int> descriptor(uint32_t shard) const;
 
-  uint32_t tileOf(uint32_t level, uint32_t node) const;   // the tile that holds a node; node < levels()[level].nodes
-  uint32_t parent(uint32_t level, uint32_t node) const;   // kNoParent at the top level; constant time
-  // Numbers of the first and last + 1 nodes of level - 1 under `node`; level >= 1.
-  std::pair<uint32_t, uint32_t> children(uint32_t level, uint32_t node) const;
-  // Tiles form a tree: the tile of level + 1 that holds the parents of all of a tile's nodes. Not for the top level.
-  uint32_t parentTile(TileId id) const;
-  // Numbers of the first and last + 1 tiles of level - 1 whose parent tile is `id`; level >= 1.
-  std::pair<uint32_t, uint32_t> childTiles(TileId id) const { return childTiles(id.level, id.tile, id.tile + 1); }
-  // Likewise of the tiles first..end - 1, at least one, of a level: children of consecutive tiles are consecutive.
-  std::pair<uint32_t, uint32_t> childTiles(uint32_t level, uint32_t first, uint32_t end) const;
-  // Index of the node's parent within its tile's parent tile. Not for the top level; constant time.
-  uint32_t placeOfParent(uint32_t level, uint32_t node) const;
+  // The index. All but root() may read.
+  // Has no tiles; its children are the chunks of the coarsest level.
+  const ChunkPtr& root() const;
+  // The child number `child` of a chunk; the same object for all who hold it at one time.
+  Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child) const;
+  // The chunk of a cell, found from any chunk of the same level or the root; kInvalidFile where nothing is there.
+  Result<ChunkPtr> chunkAt(uint32_t level, const ChunkCell& cell, const ChunkPtr& from) const;
+  // By number. kUsage: there is no such tile.
+  Result<TileRef> tile(TileId id) const;
+  // kUsage: there is no such tile.
+  Result<TileRef> tile(uint32_t level, const TileName& name) const;
+  // The tile that holds a node of a level, by number. kUsage: there is no such node.
+  Result<TileRef> tileOfNode(uint32_t level, uint32_t node) const;
+  // The tiles whose parent tile is `tile`, of level - 1: they lie in one chunk. first, last + 1: numbers within it. level >= 1.
+  struct Tiles {
+    ChunkPtr chunk;
+    uint32_t first = 0, end = 0;
+  };
+  Result<Tiles> childTiles(const TileRef& tile) const;
 
-  // Decodes stored bytes (TileInfo::stored_bytes of them, read from TileInfo::offset of the shard by any means) into
-  // `out`, whose vectors are reused. Checks the checksum (mixed with id and offset) and every rule of FORMAT.md.
-  Result<void> decodeStrip(TileId id, std::span<const std::byte> stored, Strip& out) const;
-  // Reads them; out: TileInfo::stored_bytes.
-  Result<void> readStored(TileId id, std::span<std::byte> out, const ReadOptions& options = {}) const;
+  // Where a strip's partner tiles lie, for those who look further: the chunk of each block's partner.
+  using PartnerChunks = std::vector<ChunkPtr>;
+  // Decodes stored bytes (of `tile`'s strip, read by any means) into `out`, whose vectors are reused. Checks the checksum and every rule of
+  // FORMAT.md. May read the index of the partners' chunks; partners: these, by block, if it is not null.
+  Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr) const;
+  // Reads stored bytes. out: Extent::stored_bytes.
+  Result<void> readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // Reads and decodes.
+  Result<Strip> strip(const TileRef& tile) const;
   Result<Strip> strip(TileId id) const;
   // Drawing geometry of a level-0 tile; kInvalidFile if the world has none.
   bool hasGeometry() const;
+  Result<TileGeometry> geometry(const TileRef& tile) const;
   Result<TileGeometry> geometry(uint32_t tile) const;
-  // The NanoVDB grid as written, 32-byte aligned; empty if there is none.
-  std::span<const std::byte> spatialGrid() const;
 
  private:
   struct State;
   explicit World(std::unique_ptr<State> state);
+  Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const;
   std::unique_ptr<State> state_;
 };
 

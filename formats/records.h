@@ -10,21 +10,27 @@ namespace ff::formats {
 
 inline constexpr uint64_t kManifestMagic = 0x0a444c524f574646;  // "FFWORLD\n"
 inline constexpr uint64_t kShardMagic = 0x0a44524148534646;     // "FFSHARD\n"
-inline constexpr uint64_t kFooterMagic = 0x0a58444e49534646;    // "FFSINDX\n"
 inline constexpr uint32_t kStripMagic = 0x54534646;             // "FFST"
 inline constexpr uint32_t kGeometryMagic = 0x4d474646;          // "FFGM"
+inline constexpr uint32_t kChunkMagic = 0x48434646;             // "FFCH"
 
 inline constexpr uint32_t kKindRows = 0;
 inline constexpr uint32_t kKindGeometry = 1;
+inline constexpr uint32_t kKindIndex = 2;
+inline constexpr uint32_t kShardKinds = 3;
 
-inline constexpr size_t kStripHeaderBytes = 64;
-inline constexpr size_t kStripChecksumOffset = 56;
-inline constexpr size_t kIndexRecordBytes = 64;
-inline constexpr size_t kFooterBytes = 64;
+inline constexpr size_t kStripHeaderBytes = 32;
+inline constexpr size_t kChunkHeaderBytes = 20;
+inline constexpr size_t kExtentBytes = 28;
+inline constexpr size_t kTileRecordBytes = 70;
+inline constexpr size_t kGeometryRecordBytes = 32;
+inline constexpr size_t kChildRecordBytes = 56;   // and 16 bytes for each level below its parent
+inline constexpr size_t kLevelCountBytes = 16;
 inline constexpr size_t kManifestHeaderBytes = 64;
 inline constexpr size_t kSectionRecordBytes = 40;
 inline constexpr size_t kLevelRecordBytes = 32;
 inline constexpr uint32_t kMaxStripRawBytes = 64u << 20;
+inline constexpr uint32_t kMaxChunkRawBytes = 32u << 20;
 inline constexpr uint32_t kMaxGeometryTriangles = 1u << 24;
 
 // The first 4096 bytes of a shard.
@@ -33,71 +39,78 @@ struct ShardHeader {
   uint16_t version = kFormatVersion;
   uint16_t reader_version = kFormatVersion;  // a reader must understand this version or newer
   uint32_t kind = kKindRows;
-  uint32_t shard = 0;                        // index in the manifest's shard table
   uint64_t checksum = 0;                     // XXH3-64 of bytes 0..4087
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u64(s.magic), io.u16(s.version), io.u16(s.reader_version), io.u32(s.kind), io.u32(s.shard);
-    io.reserved(2028);
+    io.u64(s.magic), io.u16(s.version), io.u16(s.reader_version), io.u32(s.kind);
+    io.reserved(2032);
     io.unused(2040);
     io.u64(s.checksum);
   }
 };
 
 // Before a strip's payload. Geometry strips use the same header: magic kGeometryMagic, level 0, entries = triangles,
-// blocks = sealed triangles, raw_bytes = 0.
+// blocks = sealed triangles, nodes = largest patch number + 1, chunks = raw_bytes = 0.
 struct StripHeader {
   uint32_t magic = kStripMagic;
   uint8_t level = 0;
   uint16_t nodes = 0;
-  uint32_t tile = 0;
-  uint32_t first_node = 0;
   uint32_t entries = 0;
   uint32_t blocks = 0;
+  uint32_t chunks = 0;         // in which the blocks' partner tiles lie
   uint32_t payload_bytes = 0;
   uint32_t raw_bytes = 0;
-  Box bounds;
-  uint64_t checksum = 0;
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u32(s.magic), io.u8(s.level), io.reserved(1), io.u16(s.nodes), io.u32(s.tile), io.u32(s.first_node);
-    io.u32(s.entries), io.u32(s.blocks), io.u32(s.payload_bytes), io.u32(s.raw_bytes), io.box(s.bounds);
-    io.u64(s.checksum);
+    io.u32(s.magic), io.u8(s.level), io.reserved(1), io.u16(s.nodes), io.u32(s.entries), io.u32(s.blocks);
+    io.u32(s.chunks), io.u32(s.payload_bytes), io.u32(s.raw_bytes), io.reserved(4);
   }
 };
 
-// One per strip, in the order of the strips.
-struct IndexRecord {
+// An Extent, wherever one stands.
+struct ExtentRecord : Extent {
+  template <class Io, class Self>
+  static void fields(Io& io, Self& s) {
+    io.u32(s.shard), io.u64(s.offset), io.u32(s.stored_bytes), io.u32(s.raw_bytes), io.u64(s.checksum);
+  }
+};
+
+// A chunk's record (chunk.h): this header, then its tiles, their geometry, the nodes' parents, its children.
+struct ChunkHeader {
+  uint32_t magic = kChunkMagic;
   uint8_t level = 0;
-  uint16_t nodes = 0;
-  uint32_t tile = 0;
-  uint64_t offset = 0;
-  uint32_t stored_bytes = 0;
-  uint32_t raw_bytes = 0;
-  uint32_t first_node = 0;
-  uint32_t entries = 0;   // triangles in a geometry shard
-  Box bounds;
-  uint64_t checksum = 0;  // as in the strip's header
+  uint8_t geometry = 0;        // 1: there is a GeometryRecord for each tile
+  uint16_t children = 0;
+  uint32_t tiles = 0;
+  uint32_t nodes = 0;
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u8(s.level), io.reserved(1), io.u16(s.nodes), io.u32(s.tile), io.u64(s.offset), io.u32(s.stored_bytes);
-    io.u32(s.raw_bytes), io.u32(s.first_node), io.u32(s.entries), io.box(s.bounds), io.u64(s.checksum);
+    io.u32(s.magic), io.u8(s.level), io.u8(s.geometry), io.u16(s.children), io.u32(s.tiles), io.u32(s.nodes), io.reserved(4);
   }
 };
 
-// The last 64 bytes of a shard.
-struct ShardFooter {
-  uint64_t magic = kFooterMagic;
-  uint64_t index_offset = 0;
-  uint64_t index_checksum = 0;  // XXH3-64 of the index
-  uint64_t file_bytes = 0;      // of the whole shard, footer included
-  uint32_t records = 0;
-  uint64_t checksum = 0;        // XXH3-64 of the footer's bytes 0..55
+struct TileRecord {
+  uint16_t nodes = 0;
+  uint16_t parent = 0;         // number of the parent tile within its chunk; 0xffff at the coarsest level
+  uint16_t child = 0;          // which of the chunk's children holds the child tiles
+  uint16_t first_child = 0;    // number within that
+  uint16_t child_tiles = 0;    // 0 at level 0
+  uint32_t entries = 0;
+  Extent strip;
+  Box bounds;                  // less the chunk's corner
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u64(s.magic), io.u64(s.index_offset), io.u64(s.index_checksum), io.u64(s.file_bytes), io.u32(s.records);
-    io.reserved(20);
-    io.u64(s.checksum);
+    io.u16(s.nodes), io.u16(s.parent), io.u16(s.child), io.u16(s.first_child), io.u16(s.child_tiles), io.reserved(4), io.u32(s.entries);
+    ExtentRecord::fields(io, s.strip);
+    io.box(s.bounds);
+  }
+};
+
+struct GeometryRecord : GeometryInfo {
+  template <class Io, class Self>
+  static void fields(Io& io, Self& s) {
+    ExtentRecord::fields(io, s.strip);
+    io.u32(s.triangles);
   }
 };
 
@@ -119,10 +132,9 @@ struct ManifestHeader {
 inline constexpr uint32_t kSectionInfo = 1;
 inline constexpr uint32_t kSectionLevels = 2;
 inline constexpr uint32_t kSectionShards = 3;
-inline constexpr uint32_t kSectionParents = 4;
-inline constexpr uint32_t kSectionGrid = 5;
-inline constexpr uint32_t kSectionLampGroups = 6;
-inline constexpr uint32_t kSectionLights = 7;
+inline constexpr uint32_t kSectionRoot = 4;
+inline constexpr uint32_t kSectionLampGroups = 5;
+inline constexpr uint32_t kSectionLights = 6;
 inline constexpr uint32_t kSectionLast = kSectionLights;     // the largest kind that this reader knows
 inline constexpr uint32_t kSectionOptional = 0x80000000u;  // kinds with this bit may be skipped by who does not know them
 
@@ -140,17 +152,17 @@ struct SectionRecord {
 
 struct LevelRecord {
   static constexpr size_t kBytes = kLevelRecordBytes;
+  uint64_t nodes = 0, tiles = 0, entries = 0, stored_bytes = 0;
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u32(s.nodes), io.u32(s.tiles), io.u64(s.entries), io.u64(s.stored_bytes), io.f32(s.cell_m);
-    io.reserved(4);
+    io.u64(s.nodes), io.u64(s.tiles), io.u64(s.entries), io.u64(s.stored_bytes);
   }
 };
 
 struct WorldInfoRecord {
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.f32(s.cell_m), io.vec3(s.grid_origin), io.box(s.bounds), io.u32(s.rays), io.u32(s.quanta), io.u64(s.seed);
+    io.f32(s.cell_m), io.f64(s.origin[0]), io.f64(s.origin[1]), io.f64(s.origin[2]), io.box(s.bounds), io.u32(s.rays), io.u32(s.quanta), io.u64(s.seed);
     io.bytes(s.bake_key), io.f32(s.row_total_deviation), io.f64(s.area_m2), io.u64(s.triangles);
     io.f64(s.absorbed_fraction), io.text(s.generator), io.text(s.scene);
   }
@@ -172,14 +184,12 @@ struct LightRecord {
 };
 
 struct ShardRecord {
-  std::string name;             // a plain file name beside the manifest
+  std::string name;   // a plain file name beside the manifest
   uint32_t kind = kKindRows;
-  uint32_t records = 0;
   uint64_t bytes = 0;
-  uint64_t index_checksum = 0;  // as in the shard's footer
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u32(s.kind), io.u32(s.records), io.u64(s.bytes), io.u64(s.index_checksum), io.text(s.name);
+    io.u32(s.kind), io.u64(s.bytes), io.text(s.name);
   }
 };
 

@@ -13,7 +13,7 @@ std::string digits(uint64_t number, unsigned base, size_t width) {
   return text;
 }
 
-const char* infix(uint32_t kind) { return kind == kKindGeometry ? ".geometry." : "."; }
+const char* infix(uint32_t kind) { return kind == kKindGeometry ? ".geometry." : kind == kKindIndex ? ".index." : "."; }
 
 }  // namespace
 
@@ -31,7 +31,6 @@ Result<std::unique_ptr<ShardWriter>> ShardWriter::create(StoragePtr storage, con
   s.record_.kind = kind;
   ShardHeader header;
   header.kind = kind;
-  header.shard = number;
   std::vector<std::byte> bytes = recordBytes(header);
   storeLittle(bytes.data() + kShardHeaderBytes - 8, hashBytes(std::span(bytes).first(kShardHeaderBytes - 8)));
   if (auto ok = s.write(bytes); !ok) return ok.error();
@@ -54,45 +53,20 @@ Result<void> ShardWriter::flush() {
   return ok;
 }
 
-Result<void> ShardWriter::add(const TileInfo& info, std::vector<std::byte> bytes) {
-  const uint64_t content = loadLittle<uint64_t>(bytes.data() + kStripChecksumOffset);
-  const uint64_t checksum =
-      mixStripChecksum(content, {record_.kind, info.id.level, info.id.tile, number_, bytes_});
-  storeLittle(bytes.data() + kStripChecksumOffset, checksum);
-  IndexRecord x;
-  x.level = static_cast<uint8_t>(info.id.level);
-  x.nodes = static_cast<uint16_t>(info.nodes);
-  x.tile = info.id.tile;
-  x.offset = bytes_;
-  x.stored_bytes = info.stored_bytes;
-  x.raw_bytes = info.raw_bytes;
-  x.first_node = info.first_node;
-  x.entries = info.entries;
-  x.bounds = info.bounds;
-  x.checksum = checksum;
-  IndexRecord::fields(index_, x);
-  ++record_.records;
-  return write(bytes);
+Result<Extent> ShardWriter::add(std::span<const std::byte> bytes, uint32_t raw_bytes) {
+  const Extent extent{number_, bytes_, static_cast<uint32_t>(bytes.size()), raw_bytes, hashBytes(bytes)};
+  checksums_.u64(extent.checksum);
+  if (auto ok = write(bytes); !ok) return ok.error();
+  return extent;
 }
 
 Result<void> ShardWriter::finish() {
-  ShardFooter footer;
-  footer.index_offset = bytes_;
-  footer.index_checksum = hashBytes(index_.data());
-  footer.records = record_.records;
-  footer.file_bytes = bytes_ + index_.data().size() + kFooterBytes;
-  std::vector<std::byte> bytes = recordBytes(footer);
-  storeLittle(bytes.data() + kFooterBytes - 8, hashBytes(std::span(bytes).first(kFooterBytes - 8)));
-  if (auto ok = write(index_.data()); !ok) return ok;
-  if (auto ok = write(bytes); !ok) return ok;
   if (auto ok = flush(); !ok) return ok;
   if (auto ok = file_->sync(); !ok) return ok;
   file_.reset();
-  index_ = ByteWriter();
   record_.bytes = bytes_;
-  record_.index_checksum = footer.index_checksum;
-  // The footer's checksum is one of all the shard holds, by way of the index and the strips' own.
-  record_.name = fileNameOf(stem_) + infix(record_.kind) + digits(loadLittle<uint64_t>(bytes.data() + kFooterBytes - 8), 16, 16) + ".ffs";
+  record_.name = fileNameOf(stem_) + infix(record_.kind) + digits(hashBytes(checksums_.data()), 16, 16) + ".ffs";
+  checksums_ = ByteWriter();
   return {};
 }
 
@@ -107,7 +81,8 @@ bool isPartOfWorld(const std::string& name, const std::string& file) {
   if (!rest.starts_with(name + ".")) return false;
   rest.remove_prefix(name.size() + 1);
   if (rest == "ffm.part") return true;
-  if (rest.starts_with("geometry.")) rest.remove_prefix(9);
+  for (const std::string_view kind : {"geometry.", "index."})
+    if (rest.starts_with(kind)) rest.remove_prefix(kind.size());
   const size_t dot = rest.find('.');
   if (dot == std::string_view::npos) return false;
   const std::string_view number = rest.substr(0, dot), end = rest.substr(dot);

@@ -1,4 +1,4 @@
-// Writes one shard under a temporary name: header, strips as they come, index, footer. finish() syncs it; rename() gives
+// Writes one shard under a temporary name: header, then strips or chunks' records as they come. finish() syncs it; rename() gives
 // it its name, which comes from its content. Destroyed before rename(), it removes its file.
 #pragma once
 #include <memory>
@@ -19,10 +19,9 @@ class ShardWriter {
   ShardWriter(const ShardWriter&) = delete;
   ~ShardWriter();
 
-  // Completes the checksum, which depends on the place, and writes. `bytes` begins with a StripHeader whose checksum field
-  // holds hashStripContent().
-  Result<void> add(const TileInfo& info, std::vector<std::byte> bytes);
-  // Index, footer, sync, close.
+  // Writes, and says where. raw_bytes: of what is compressed in them.
+  Result<Extent> add(std::span<const std::byte> bytes, uint32_t raw_bytes);
+  // Sync, close.
   Result<void> finish();
   Result<void> rename();
 
@@ -42,7 +41,7 @@ class ShardWriter {
   uint32_t number_ = 0;
   uint64_t bytes_ = 0;
   std::vector<std::byte> pending_;
-  ByteWriter index_;
+  ByteWriter checksums_;  // of all that was added
 };
 
 // Whether a file of this name is of the world whose manifest is called NAME.ffm, and no other's: a shard, or what a bake that was

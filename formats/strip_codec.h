@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "formats/model.h"
 #include "formats/result.h"
@@ -17,12 +18,14 @@ struct StripLayout {
   // quanta u16, sky u16, absorbed u16, sky direction 3 x i8, sky quadratic 5 x i8, sky fraction u16, row total u16,
   // lamp group u16, lamps u16.
   static constexpr uint32_t kNodeBytes = 54;
-  // partner tile step u32, entries - 1 u16
-  static constexpr uint32_t kBlockBytes = 6;
+  // step to a chunk of partner tiles 3 x i32, blocks in it u32
+  static constexpr uint32_t kChunkBytes = 16;
+  // partner tile step u16, entries - 1 u16
+  static constexpr uint32_t kBlockBytes = 4;
   // group u16, weights 3 x u16
   static constexpr uint32_t kLampBytes = 8;
 
-  uint32_t nodes = 0, blocks = 0, entries = 0;
+  uint32_t nodes = 0, chunks = 0, blocks = 0, entries = 0;
   uint32_t lamps = 0;  // the sum of the nodes' lamps
   uint64_t area() const { return 0; }
   uint64_t centroid() const { return uint64_t{4} * nodes; }
@@ -40,8 +43,10 @@ struct StripLayout {
   uint64_t lampCount() const { return uint64_t{52} * nodes; }
   uint64_t lampGroups() const { return uint64_t{kNodeBytes} * nodes; }
   uint64_t lampWeights() const { return lampGroups() + uint64_t{2} * lamps; }
-  uint64_t blockSteps() const { return lampGroups() + uint64_t{kLampBytes} * lamps; }
-  uint64_t blockEntries() const { return blockSteps() + uint64_t{4} * blocks; }
+  uint64_t chunkSteps() const { return lampGroups() + uint64_t{kLampBytes} * lamps; }
+  uint64_t chunkBlocks() const { return chunkSteps() + uint64_t{12} * chunks; }
+  uint64_t blockSteps() const { return chunkSteps() + uint64_t{kChunkBytes} * chunks; }
+  uint64_t blockEntries() const { return blockSteps() + uint64_t{2} * blocks; }
   // One mark per entry; then one column byte per entry, those of the runs' first entries before all others; then the
   // escapes. A run is the entries of one row in one block.
   uint64_t marks() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
@@ -73,11 +78,18 @@ struct OctNormal {
 OctNormal packNormal(Vec3 n);
 Vec3 unpackNormal(OctNormal n);
 
-// Decodes one strip. `info` and `checksum` are its index record's; `partners` are all tiles of its level; `quanta` is the world's. Fills
-// everything but Node::parent. `out`'s vectors are reused; after an error its content is unspecified. Memory taken is
-// bounded by info.raw_bytes and info.entries, which are checked against the header first. Thread-safe.
+// A partner tile as a strip names it.
+struct PartnerName {
+  ChunkCell step{};       // from the strip's own chunk
+  uint32_t tile = 0;      // number within that
+  uint32_t columns = 0;   // the largest column of its block, + 1
+};
+
+// Decodes one strip. `info` is the index's; `quanta` is the world's. Fills everything but Node::parent and Block::partner_tile;
+// partners: by block. `out`'s vectors are reused; after an error its content is unspecified. Memory taken is
+// bounded by the sizes in `info`, which are checked against the header first. Thread-safe.
 // Errors carry no file name: the caller knows it.
-Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
-                              uint32_t quanta, std::span<const std::byte> stored, Strip& out);
+Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
+                              std::vector<PartnerName>& partners);
 
 }  // namespace ff::formats

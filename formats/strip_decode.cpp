@@ -20,10 +20,7 @@ struct ContextFree {
 };
 
 Error broken(const TileInfo& info, const std::string& message) {
-  return {ErrorCode::kInvalidFile, "",
-          "strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) + " at offset " +
-              std::to_string(info.offset),
-          message, "restore this file from a copy, or bake again"};
+  return {ErrorCode::kInvalidFile, "", "offset " + std::to_string(info.strip.offset), message, "restore this file from a copy, or bake again"};
 }
 
 // One plane-split array of `n` elements of sizeof(T) bytes, beginning at p.
@@ -37,25 +34,21 @@ T planeValue(const std::byte* p, size_t n, size_t i) {
 
 float planeFloat(const std::byte* p, size_t n, size_t i) { return std::bit_cast<float>(planeValue<uint32_t>(p, n, i)); }
 
-Result<void> checkHeader(const TileInfo& info, uint64_t checksum, std::span<const std::byte> stored, StripHeader& h) {
-  if (stored.size() != info.stored_bytes || stored.size() < kStripHeaderBytes)
+Result<void> checkHeader(const TileInfo& info, std::span<const std::byte> stored, StripHeader& h) {
+  if (stored.size() != info.strip.stored_bytes || stored.size() < kStripHeaderBytes)
     return broken(info, "has " + std::to_string(stored.size()) + " bytes instead of " +
-                            std::to_string(info.stored_bytes));
+                            std::to_string(info.strip.stored_bytes));
   ByteReader r(stored.first(kStripHeaderBytes));
   StripHeader::fields(r, h);
   if (h.magic != kStripMagic) return broken(info, "does not begin with FFST");
-  const uint64_t expected = mixStripChecksum(
-      hashStripContent(stored), {kKindRows, info.id.level, info.id.tile, info.shard, info.offset});
-  if (h.checksum != expected || h.checksum != checksum)
+  if (hashBytes(stored) != info.strip.checksum)
     return broken(info, "checksum mismatch: bytes were changed, swapped or left over from another bake");
   if (r.reservedUsed()) return broken(info, "uses a reserved byte of the header");
-  if (h.level != info.id.level || h.tile != info.id.tile || h.nodes != info.nodes || h.first_node != info.first_node ||
-      h.entries != info.entries || h.raw_bytes != info.raw_bytes ||
-      h.payload_bytes != stored.size() - kStripHeaderBytes || !(h.bounds.lo == info.bounds.lo) ||
-      !(h.bounds.hi == info.bounds.hi))
+  if (h.level != info.id.level || h.nodes != info.nodes || h.entries != info.entries || h.raw_bytes != info.strip.raw_bytes ||
+      h.payload_bytes != stored.size() - kStripHeaderBytes)
     return broken(info, "header and index disagree");
-  const StripLayout layout{h.nodes, h.blocks, h.entries};
-  if (h.nodes < 1 || h.nodes > kTileNodes || h.blocks > h.entries || h.raw_bytes > kMaxStripRawBytes ||
+  const StripLayout layout{h.nodes, h.chunks, h.blocks, h.entries};
+  if (h.nodes < 1 || h.nodes > kTileNodes || h.blocks > h.entries || h.chunks > h.blocks || h.raw_bytes > kMaxStripRawBytes ||
       h.raw_bytes < layout.escapes())
     return broken(info, "sizes in the header contradict each other");
   return {};
@@ -159,22 +152,29 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
   return {};
 }
 
-Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const StripLayout& layout, size_t partners,
-                          Strip& out) {
-  const size_t n = layout.blocks;
+Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const StripLayout& layout, Strip& out,
+                          std::vector<PartnerName>& partners) {
+  const size_t n = layout.blocks, chunks = layout.chunks;
   out.blocks.resize(n);
-  uint64_t partner = 0, total = 0;
-  for (size_t i = 0; i < n; ++i) {
-    const auto step = planeValue<uint32_t>(raw + layout.blockSteps(), n, i);
-    if (i > 0 && step == 0) return broken(info, "block " + std::to_string(i) + " repeats its partner tile");
-    partner += step;
-    if (partner >= partners)
-      return broken(info, "block " + std::to_string(i) + " names tile " + std::to_string(partner) + " of " +
-                              std::to_string(partners));
-    const uint32_t entries = uint32_t{planeValue<uint16_t>(raw + layout.blockEntries(), n, i)} + 1;
-    out.blocks[i] = {static_cast<uint32_t>(partner), entries};
-    total += entries;
+  partners.resize(n);
+  uint64_t total = 0;
+  size_t i = 0;
+  for (size_t c = 0; c < chunks; ++c) {
+    PartnerName partner;
+    for (size_t a = 0; a < 3; ++a)
+      partner.step[a] = static_cast<int32_t>(planeValue<uint32_t>(raw + layout.chunkSteps() + 4 * chunks * a, chunks, c));
+    const auto blocks = planeValue<uint32_t>(raw + layout.chunkBlocks(), chunks, c);
+    if (blocks < 1 || blocks > n - i) return broken(info, "chunks of partners do not add up to the strip's blocks");
+    for (const size_t first = i; i < first + blocks; ++i) {
+      const auto step = planeValue<uint16_t>(raw + layout.blockSteps(), n, i);
+      if (i > first && step == 0) return broken(info, "block " + std::to_string(i) + " repeats its partner tile");
+      partner.tile += step;
+      partners[i] = partner;
+      out.blocks[i].entries = uint32_t{planeValue<uint16_t>(raw + layout.blockEntries(), n, i)} + 1;
+      total += out.blocks[i].entries;
+    }
   }
+  if (i != n) return broken(info, "chunks of partners do not add up to the strip's blocks");
   if (total != layout.entries) return broken(info, "blocks do not add up to the strip's entries");
   return {};
 }
@@ -207,7 +207,7 @@ uint32_t countRuns(const uint8_t* marks, size_t entries) {
 // Rows, columns and counts, run by run. Within a run the row is one and the columns rise, so that most checks and the row's
 // sum are made once a run. Plain pointers, because a store through uint8_t* may alias any vector.
 Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout,
-                           std::span<const TileInfo> partners, Strip& out) {
+                           std::vector<PartnerName>& partners, Strip& out) {
   const auto* raw = reinterpret_cast<const uint8_t*>(bytes.data());
   const uint8_t* const marks = raw + layout.marks();
   const uint8_t* first_columns = raw + layout.columns();
@@ -222,11 +222,10 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
   uint16_t* const counts = out.counts.data();
   std::array<uint64_t, kTileNodes> sums{};
   size_t e = 0;
-  for (const Block& block : out.blocks) {
-    const auto bad = [&](const char* what) {
-      return broken(info, "block of partner tile " + std::to_string(block.partner_tile) + ": " + what);
-    };
-    const uint32_t partner_nodes = partners[block.partner_tile].nodes;
+  for (size_t b = 0; b < out.blocks.size(); ++b) {
+    const Block& block = out.blocks[b];
+    const auto bad = [&](const char* what) { return broken(info, "block " + std::to_string(b) + ": " + what); };
+    uint32_t max_column = 0;
     const size_t end = e + block.entries;
     uint32_t row = 0, first_column = 0;  // row: one more than the row's number, so that a block's first step is > 0
     while (e < end) {
@@ -252,9 +251,11 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
         column += *column_steps++;
       }
       if (unordered != 0) return bad("entries are not in order of row and column");
-      if (column >= partner_nodes) return bad("a column is outside the partner tile");
+      if (column >= kTileNodes) return bad("a column is outside any tile");
+      max_column = std::max(max_column, column);
       sums[row - 1] += sum;
     }
+    partners[b].columns = max_column + 1;
   }
   if (escapes != escapes_end) return broken(info, "escapes are left over");
   for (size_t i = 0; i < layout.nodes; ++i) {
@@ -282,11 +283,11 @@ Vec3 unpackNormal(OctNormal n) {
   return normalized({std::copysign(1.0f - std::abs(y), x), std::copysign(1.0f - std::abs(x), y), z});
 }
 
-Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span<const TileInfo> partners,
-                              uint32_t quanta, std::span<const std::byte> stored, Strip& out) try {
+Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
+                              std::vector<PartnerName>& partners) try {
   StripHeader header;
-  if (auto ok = checkHeader(info, checksum, stored, header); !ok) return ok;
-  StripLayout layout{header.nodes, header.blocks, header.entries};
+  if (auto ok = checkHeader(info, stored, header); !ok) return ok;
+  StripLayout layout{header.nodes, header.chunks, header.blocks, header.entries};
   thread_local std::vector<std::byte> scratch;  // bounded by kMaxStripRawBytes
   scratch.resize(header.raw_bytes);
   if (auto ok = inflate(info, stored.subspan(kStripHeaderBytes), scratch); !ok) return ok;
@@ -295,7 +296,7 @@ Result<void> decodeStripBytes(const TileInfo& info, uint64_t checksum, std::span
   out.first_node = info.first_node;
   if (auto ok = decodeNodes(info, scratch.data(), layout, maxRowQuanta(quanta), out); !ok) return ok;
   if (auto ok = decodeLamps(info, scratch.data(), layout, out); !ok) return ok;
-  if (auto ok = decodeBlocks(info, scratch.data(), layout, partners.size(), out); !ok) return ok;
+  if (auto ok = decodeBlocks(info, scratch.data(), layout, out, partners); !ok) return ok;
   return decodeEntries(info, scratch, layout, partners, out);
 } catch (const std::bad_alloc&) {
   return Error{ErrorCode::kIo, "", "", "out of memory while decoding a strip", "close other programs"};

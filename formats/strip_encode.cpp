@@ -180,18 +180,38 @@ void putEscape(std::vector<std::byte>& escapes, uint32_t step, uint32_t count) {
   escapes.push_back(static_cast<std::byte>(rest));
 }
 
+bool sameChunk(std::span<const TileName> names, const Block& a, const Block& b) { return names[a.partner_tile].chunk == names[b.partner_tile].chunk; }
+
+// In how many chunks the partner tiles lie.
+uint32_t countChunks(const Strip& strip, std::span<const TileName> names) {
+  uint32_t chunks = 0;
+  for (size_t b = 0; b < strip.blocks.size(); ++b) chunks += b == 0 || !sameChunk(names, strip.blocks[b - 1], strip.blocks[b]);
+  return chunks;
+}
+
+void putChunks(std::byte* raw, const StripLayout& layout, const Strip& strip, std::span<const TileName> names) {
+  const size_t n = layout.chunks;
+  for (size_t b = 0, c = 0; b < strip.blocks.size(); ++c) {
+    const size_t first = b;
+    while (b < strip.blocks.size() && sameChunk(names, strip.blocks[first], strip.blocks[b])) ++b;
+    for (size_t a = 0; a < 3; ++a)
+      putPlanes(raw + layout.chunkSteps() + 4 * n * a, n, c,
+                static_cast<uint32_t>(names[strip.blocks[first].partner_tile].chunk[a]) - static_cast<uint32_t>(names[strip.id.tile].chunk[a]));
+    putPlanes(raw + layout.chunkBlocks(), n, c, static_cast<uint32_t>(b - first));
+  }
+}
+
 // Fills blocks, marks and columns, and appends the escapes. Returns the number of runs.
-size_t putEntries(std::vector<std::byte>& raw, const StripLayout& layout, const Strip& strip) {
+size_t putEntries(std::vector<std::byte>& raw, const StripLayout& layout, const Strip& strip, std::span<const TileName> names) {
   std::vector<std::byte> column_steps, escapes;
   column_steps.reserve(layout.entries);
   std::byte* const columns = raw.data() + layout.columns();
   size_t e = 0, runs = 0;
-  uint32_t last_partner = 0;
   for (size_t b = 0; b < strip.blocks.size(); ++b) {
     const Block& block = strip.blocks[b];
-    putPlanes(raw.data() + layout.blockSteps(), layout.blocks, b, block.partner_tile - last_partner);
+    const uint32_t before = b > 0 && sameChunk(names, strip.blocks[b - 1], block) ? names[strip.blocks[b - 1].partner_tile].tile : 0;
+    putPlanes(raw.data() + layout.blockSteps(), layout.blocks, b, static_cast<uint16_t>(names[block.partner_tile].tile - before));
     putPlanes(raw.data() + layout.blockEntries(), layout.blocks, b, static_cast<uint16_t>(block.entries - 1));
-    last_partner = block.partner_tile;
     uint32_t row = 0, first_column = 0;  // row: one more than the number of the last one
     for (size_t k = 0; k < block.entries; ++k, ++e) {
       const uint32_t step = strip.rows[e] + 1u - row, count = strip.counts[e], column = strip.columns[e];
@@ -260,24 +280,28 @@ OctNormal packNormal(Vec3 n) {
   return {pack(x), pack(y)};
 }
 
-Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds) {
+Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds, std::span<const TileName> names) {
   if (strip.nodes.empty() || strip.nodes.size() > kTileNodes)
     return unfit(strip, "has " + std::to_string(strip.nodes.size()) + " nodes");
   if (strip.id.level >= kMaxLevels) return unfit(strip, "level is too high");
+  if (strip.id.tile >= names.size()) return unfit(strip, "has no name");
   if (bounds.empty() || !finite(bounds.lo) || !finite(bounds.hi)) return unfit(strip, "bounds are not a box");
   for (size_t i = 0; i < strip.nodes.size(); ++i)
     if (auto ok = checkNode(strip, i, bounds); !ok) return ok.error();
   if (auto ok = checkEntries(strip); !ok) return ok.error();
   if (auto ok = checkLamps(strip); !ok) return ok.error();
+  for (const Block& block : strip.blocks)
+    if (block.partner_tile >= names.size()) return unfit(strip, "names partner tile " + std::to_string(block.partner_tile) + " of " + std::to_string(names.size()));
 
-  const StripLayout layout{static_cast<uint32_t>(strip.nodes.size()), static_cast<uint32_t>(strip.blocks.size()),
+  const StripLayout layout{static_cast<uint32_t>(strip.nodes.size()), countChunks(strip, names), static_cast<uint32_t>(strip.blocks.size()),
                            static_cast<uint32_t>(strip.rows.size()), static_cast<uint32_t>(strip.lamps.size())};
   if (layout.escapes() + uint64_t{kMaxEscapeBytes} * layout.entries > kMaxStripRawBytes)
     return unfit(strip, "has too many entries");
   std::vector<std::byte> raw(layout.escapes());
   for (size_t i = 0; i < strip.nodes.size(); ++i) putNode(raw.data(), layout, i, strip.nodes[i], bounds);
   putLamps(raw.data(), layout, strip);
-  const size_t runs = putEntries(raw, layout, strip);
+  putChunks(raw.data(), layout, strip, names);
+  const size_t runs = putEntries(raw, layout, strip, names);
   EncodedStrip out;
   out.bytes.resize(kStripHeaderBytes);
   if (!compressStreams(raw, {layout.marks(), layout.columns(), layout.columns() + runs, layout.escapes(), raw.size()},
@@ -287,25 +311,23 @@ Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds) {
   StripHeader header;
   header.level = static_cast<uint8_t>(strip.id.level);
   header.nodes = static_cast<uint16_t>(layout.nodes);
-  header.tile = strip.id.tile;
-  header.first_node = strip.first_node;
   header.entries = layout.entries;
   header.blocks = layout.blocks;
+  header.chunks = layout.chunks;
   header.payload_bytes = static_cast<uint32_t>(out.bytes.size() - kStripHeaderBytes);
   header.raw_bytes = static_cast<uint32_t>(raw.size());
-  header.bounds = bounds;
   std::vector<std::byte> head = recordBytes(header);
   std::copy(head.begin(), head.end(), out.bytes.begin());
-  // Place-independent until addStrip knows shard and offset.
-  storeLittle(out.bytes.data() + kStripChecksumOffset, hashStripContent(out.bytes));
 
   out.info.id = strip.id;
-  out.info.stored_bytes = static_cast<uint32_t>(out.bytes.size());
-  out.info.raw_bytes = header.raw_bytes;
+  out.info.strip.stored_bytes = static_cast<uint32_t>(out.bytes.size());
+  out.info.strip.raw_bytes = header.raw_bytes;
+  out.info.strip.checksum = hashBytes(out.bytes);
   out.info.first_node = strip.first_node;
   out.info.nodes = layout.nodes;
   out.info.entries = layout.entries;
   out.info.bounds = bounds;
+  out.name = names[strip.id.tile];
   for (const Node& node : strip.nodes) out.quanta = std::max(out.quanta, node.quanta);
   return out;
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "formats/checksum.h"
+#include "formats/chunk.h"
 #include "formats/geometry.h"
 #include "formats/manifest.h"
 #include "formats/shard_writer.h"
@@ -17,16 +18,20 @@ struct WorldWriter::State {
   std::string path, stem;  // stem: path without .ffm
   uint64_t shard_bytes = 0;
   std::vector<std::unique_ptr<ShardWriter>> shards;  // in the order of the manifest's table
-  ShardWriter* open_shard[2] = {};                   // by kind; null: none is open
+  ShardWriter* open_shard[kShardKinds] = {};         // by kind; null: none is open
   std::vector<LevelInfo> levels;                     // sized by the first strip, which is of the coarsest level
-  std::vector<std::vector<uint32_t>> tile_starts;    // by level: first node of each tile, then the number of nodes
+  std::vector<std::vector<TileInfo>> tiles;          // by level
+  std::vector<std::vector<TileName>> names;          // likewise
+  std::vector<GeometryInfo> geometry;                // by level-0 tile
   uint32_t level = 0;                                // of the last strip
-  uint32_t geometry_tiles = 0;
   uint32_t quanta = 0;                               // samples of the row that has most
   bool failed = false;                               // after an error nothing more is accepted
 
-  Result<void> addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes);
+  Result<Extent> addTo(uint32_t kind, std::span<const std::byte> bytes, uint32_t raw_bytes);
   Result<void> closeShard(uint32_t kind);
+  Result<void> linkTiles(std::span<const std::vector<uint32_t>> parents);
+  Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> makeChunks(std::span<const std::vector<uint32_t>> parents);
+  Result<std::vector<ChildChunk>> writeChunks(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents);
   void removeUnnamed();
 };
 
@@ -35,35 +40,6 @@ namespace {
 constexpr int kZstdLevel = 3;
 
 Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
-
-// What model.h promises of parents as bits and places (FORMAT.md section 2.6); refuses what it does not. starts, starts_above: first node of
-// each tile of the level and of the one above, then the number of nodes.
-Result<void> writeLinks(std::span<const uint32_t> parents, std::span<const uint32_t> starts, std::span<const uint32_t> starts_above,
-                        ByteWriter& out) {
-  if (parents.size() != starts.back()) return misuse("parent links are not one per node");
-  std::vector<uint64_t> tile_words((starts.size() + 62) / 64), family_words((parents.size() + 63) / 64);
-  std::vector<uint8_t> places, taken(starts_above.back());
-  size_t above = 0;  // tile
-  for (size_t t = 0; t + 1 < starts.size(); ++t) {
-    const bool next = t > 0 && parents[starts[t]] >= starts_above[above + 1];
-    above += next;
-    if (t == 0 || next) tile_words[t / 64] |= uint64_t{1} << (t % 64);
-    for (uint32_t i = starts[t]; i < starts[t + 1]; ++i) {
-      if (parents[i] < starts_above[above] || above + 1 == starts_above.size() || parents[i] >= starts_above[above + 1])
-        return misuse("parents of a tile's nodes do not lie in one tile, or tiles not in the order of these");
-      if (i > starts[t] && parents[i] == parents[i - 1]) continue;
-      if (i > starts[t] && parents[i] < parents[i - 1]) return misuse("parents do not ascend within a tile");
-      if (taken[parents[i]]++ != 0) return misuse("siblings are not consecutive or lie in two tiles");
-      family_words[i / 64] |= uint64_t{1} << (i % 64);
-      places.push_back(static_cast<uint8_t>(parents[i] - starts_above[above]));
-    }
-  }
-  if (places.size() != taken.size()) return misuse("parent links do not name every node of the level above");
-  for (const uint64_t w : tile_words) out.u64(w);
-  for (const uint64_t w : family_words) out.u64(w);
-  for (const uint8_t place : places) out.u8(place);
-  return {};
-}
 
 Result<std::vector<std::byte>> compress(std::span<const std::byte> in) {
   std::vector<std::byte> out(ZSTD_compressBound(in.size()));
@@ -112,15 +88,17 @@ Result<void> WorldWriter::State::closeShard(uint32_t kind) {
   return ok;
 }
 
-Result<void> WorldWriter::State::addTo(uint32_t kind, const TileInfo& info, std::vector<std::byte> bytes) {
+Result<Extent> WorldWriter::State::addTo(uint32_t kind, std::span<const std::byte> bytes, uint32_t raw_bytes) {
   if (open_shard[kind] == nullptr) {
     auto shard = ShardWriter::create(storage, stem, kind, static_cast<uint32_t>(shards.size()));
     if (!shard) return shard.error();
     shards.push_back(std::move(*shard));
     open_shard[kind] = shards.back().get();
   }
-  if (auto ok = open_shard[kind]->add(info, std::move(bytes)); !ok) return ok;
-  return open_shard[kind]->bytes() >= shard_bytes ? closeShard(kind) : Result<void>{};
+  auto extent = open_shard[kind]->add(bytes, raw_bytes);
+  if (extent && open_shard[kind]->bytes() >= shard_bytes)
+    if (auto ok = closeShard(kind); !ok) return ok.error();
+  return extent;
 }
 
 Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_bytes, StoragePtr storage) {
@@ -151,7 +129,8 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
     if (info.id.level >= kMaxLevels) return misuse("level is too high");
     s.level = info.id.level;
     s.levels.resize(s.level + 1);
-    s.tile_starts.assign(s.level + 1, {0});
+    s.tiles.resize(s.level + 1);
+    s.names.resize(s.level + 1);
   }
   if (info.id.level + 1 == s.level && s.levels[s.level].tiles > 0) s.level = info.id.level;
   if (info.id.level != s.level || info.id.tile != s.levels[s.level].tiles)
@@ -159,101 +138,196 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
                   " comes out of order");
   LevelInfo& level = s.levels[s.level];
   if (info.first_node != level.nodes) return misuse("first_node is not the number of nodes before the tile");
+  std::vector<TileName>& names = s.names[s.level];
+  const bool same_chunk = !names.empty() && names.back().chunk == strip.name.chunk;
+  if (strip.name.tile != (same_chunk ? names.back().tile + 1 : 0) || strip.name.tile >= kMaxChunkTiles)
+    return misuse("strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) + " is not the next tile of its chunk, or the chunk is full");
+  auto extent = s.addTo(kKindRows, strip.bytes, info.strip.raw_bytes);
+  if (!extent) return extent.error();
   ++level.tiles;
   level.nodes += info.nodes;
-  s.tile_starts[s.level].push_back(level.nodes);
   level.entries += info.entries;
+  level.stored_bytes += info.strip.stored_bytes;
   s.quanta = std::max(s.quanta, strip.quanta);
-  level.stored_bytes += info.stored_bytes + kIndexRecordBytes;
-  if (auto ok = s.addTo(kKindRows, info, std::move(strip.bytes)); !ok) return ok;
+  s.tiles[s.level].push_back(info);
+  s.tiles[s.level].back().strip = *extent;
+  names.push_back(strip.name);
   s.failed = false;
   return {};
 }
 
-Result<void> WorldWriter::addGeometry(const TileGeometry& geometry) {
+Result<void> WorldWriter::addGeometry(const TileGeometry& geometry, const WorldInfo& world) {
   State& s = *state_;
   if (s.failed) return misuse("an earlier call failed");
   s.failed = true;
-  if (geometry.tile != s.geometry_tiles)
+  if (s.names.empty() || geometry.tile != s.geometry.size() || geometry.tile >= s.names[0].size())
     return misuse("geometry of tile " + std::to_string(geometry.tile) + " comes out of order");
-  auto payload = encodeGeometry(geometry);
+  TileGeometry local = geometry;
+  const std::array<double, 3> corner = chunkCorner(world, 0, s.names[0][geometry.tile].chunk);
+  for (Vec3& p : local.positions) p = lessCorner(p, corner);
+  auto payload = encodeGeometry(local);
   if (!payload) return payload.error();
   StripHeader header;
   header.magic = kGeometryMagic;
-  header.tile = geometry.tile;
   header.entries = static_cast<uint32_t>(geometry.patch.size());
   header.blocks = geometry.sealed;
   header.payload_bytes = static_cast<uint32_t>(payload->size());
-  header.bounds = {};
-  for (const Vec3& p : geometry.positions) header.bounds.add(p);
-  if (header.bounds.empty()) header.bounds = Box{{0, 0, 0}, {0, 0, 0}};
   for (uint8_t patch : geometry.patch)
     header.nodes = std::max<uint16_t>(header.nodes, static_cast<uint16_t>(patch + 1));
   std::vector<std::byte> bytes = recordBytes(header);
   bytes.insert(bytes.end(), payload->begin(), payload->end());
-  storeLittle(bytes.data() + kStripChecksumOffset, hashStripContent(bytes));
-  TileInfo info;
-  info.id = {0, geometry.tile};
-  info.stored_bytes = static_cast<uint32_t>(bytes.size());
-  info.nodes = header.nodes;
-  info.entries = header.entries;
-  info.bounds = header.bounds;
-  if (auto ok = s.addTo(kKindGeometry, info, std::move(bytes)); !ok) return ok;
-  ++s.geometry_tiles;
+  auto extent = s.addTo(kKindGeometry, bytes, 0);
+  if (!extent) return extent.error();
+  s.geometry.push_back({*extent, header.entries});
   s.failed = false;
   return {};
 }
 
-Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents,
-                                 std::span<const float> cell_m, std::span<const std::byte> spatial_grid) {
+// Each tile's parent and child tiles, and what model.h promises of them.
+Result<void> WorldWriter::State::linkTiles(std::span<const std::vector<uint32_t>> parents) {
+  for (size_t l = 0; l + 1 < levels.size(); ++l) {
+    std::vector<TileInfo>& above = tiles[l + 1];
+    if (parents[l].size() != levels[l].nodes) return misuse("parent links are not one per node");
+    std::vector<uint8_t> taken(levels[l + 1].nodes);
+    size_t p = 0, families = 0;
+    for (TileInfo& tile : tiles[l]) {
+      const std::span<const uint32_t> own = std::span(parents[l]).subspan(tile.first_node, tile.nodes);
+      if (own[0] >= above[p].first_node + above[p].nodes && p + 1 < above.size()) ++p;
+      TileInfo& parent = above[p];
+      for (size_t i = 0; i < own.size(); ++i) {
+        if (own[i] < parent.first_node || own[i] - parent.first_node >= parent.nodes)
+          return misuse("parents of a tile's nodes do not lie in one tile, or tiles not in the order of these");
+        if (i > 0 && own[i] == own[i - 1]) continue;
+        if (i > 0 && own[i] < own[i - 1]) return misuse("parents do not ascend within a tile");
+        if (taken[own[i]]++ != 0) return misuse("siblings are not consecutive or lie in two tiles");
+        ++families;
+      }
+      tile.parent_tile = static_cast<uint32_t>(p);
+      if (parent.end_child == 0) parent.first_child = tile.id.tile;
+      parent.end_child = tile.id.tile + 1;
+    }
+    if (families != taken.size()) return misuse("parent links do not name every node of the level above");
+  }
+  return {};
+}
+
+// By level; without children.
+Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::makeChunks(std::span<const std::vector<uint32_t>> parents) {
+  std::vector<std::vector<std::shared_ptr<Chunk>>> chunks(levels.size());
+  auto root = std::make_shared<Chunk>();
+  root->level = static_cast<uint32_t>(levels.size());
+  root->first.resize(levels.size() + 1);
+  std::vector<size_t> chunk_of, chunk_of_above;  // by tile
+  for (size_t l = levels.size(); l-- > 0;) {
+    const bool top = l + 1 == levels.size();
+    chunk_of.clear();
+    for (size_t t = 0; t < tiles[l].size(); ++t) {
+      const TileInfo& tile = tiles[l][t];
+      const size_t above = top ? 0 : chunk_of_above[tile.parent_tile];
+      if (names[l][t].tile == 0) {
+        auto chunk = std::make_shared<Chunk>();
+        chunk->level = static_cast<uint32_t>(l);
+        chunk->cell = names[l][t].chunk;
+        chunk->parent = top ? root : chunks[l + 1][above];
+        chunk->first.resize(l + 1);
+        chunk->first[l] = {tile.id.tile, tile.first_node};
+        if (l > 0) chunk->first[l - 1].tiles = tile.first_child;
+        if (!top && parentCell(chunk->cell) != chunk->parent->cell) return misuse(chunkText(chunk->level, chunk->cell) + " does not lie in the chunk of its tiles' parents");
+        chunks[l].push_back(std::move(chunk));
+      }
+      Chunk& chunk = *chunks[l].back();
+      if (!top && chunk.parent != chunks[l + 1][above]) return misuse("the tiles of " + chunkText(chunk.level, chunk.cell) + " have parents in two chunks");
+      chunk.tiles.push_back(tile);
+      if (l == 0 && !geometry.empty()) chunk.geometry.push_back(geometry[t]);
+      if (!top)
+        for (uint32_t i = 0; i < tile.nodes; ++i)
+          chunk.parent_index.push_back(static_cast<uint8_t>(parents[l][tile.first_node + i] - tiles[l + 1][tile.parent_tile].first_node));
+      chunk_of.push_back(chunks[l].size() - 1);
+    }
+    if (!top)
+      for (const TileInfo& tile : tiles[l + 1])
+        if (chunk_of[tile.first_child] != chunk_of[tile.end_child - 1]) return misuse("the child tiles of a tile lie in two chunks");
+    chunk_of_above.swap(chunk_of);
+  }
+  return chunks;
+}
+
+// From level 0 up, as a chunk's record names those of its children. Returns the root's children.
+Result<std::vector<ChildChunk>> WorldWriter::State::writeChunks(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents) {
+  auto chunks = makeChunks(parents);
+  if (!chunks) return chunks.error();
+  std::vector<ChildChunk> root;
+  for (size_t l = 0; l < levels.size(); ++l) {
+    size_t above = 0;  // chunk of level l + 1
+    for (const std::shared_ptr<Chunk>& chunk : (*chunks)[l]) {
+      ChildChunk self;
+      self.cell = chunk->cell;
+      self.counts.resize(l + 1);
+      for (const ChildChunk& child : chunk->children)
+        for (size_t k = 0; k < l; ++k) self.counts[k] += child.counts[k];
+      self.counts[l].tiles = chunk->tiles.size();
+      for (const TileInfo& tile : chunk->tiles) {
+        self.counts[l].nodes += tile.nodes;
+        self.bounds.add(tile.bounds);
+      }
+      const std::vector<std::byte> raw = encodeChunk(info, *chunk);
+      if (raw.size() > kMaxChunkRawBytes) return misuse(chunkText(chunk->level, chunk->cell) + " is too large");
+      auto stored = compress(raw);
+      if (!stored) return stored.error();
+      auto extent = addTo(kKindIndex, *stored, static_cast<uint32_t>(raw.size()));
+      if (!extent) return extent.error();
+      self.record = *extent;
+      levels[l].stored_bytes += stored->size();
+      if (l + 1 == levels.size()) {
+        root.push_back(std::move(self));
+        continue;
+      }
+      while ((*chunks)[l + 1][above] != chunk->parent) ++above;
+      (*chunks)[l + 1][above]->children.push_back(std::move(self));
+    }
+    if (l > 0) (*chunks)[l - 1].clear();
+  }
+  return root;
+}
+
+Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents) {
   State& s = *state_;
   if (s.failed) return misuse("an earlier call failed");
   s.failed = true;
   if (s.levels.empty() || s.level != 0 || s.levels[0].tiles == 0) return misuse("a world needs strips down to level 0");
-  if (s.geometry_tiles != 0 && s.geometry_tiles != s.levels[0].tiles) return misuse("geometry does not cover every tile");
-  if (parents.size() + 1 != s.levels.size() || cell_m.size() != s.levels.size())
-    return misuse("parents or cell sizes do not fit the number of levels");
+  if (!s.geometry.empty() && s.geometry.size() != s.levels[0].tiles) return misuse("geometry does not cover every tile");
+  if (parents.size() + 1 != s.levels.size()) return misuse("parents do not fit the number of levels");
   if (s.quanta > maxRowQuanta(info.quanta))
     return misuse("a row has " + std::to_string(s.quanta) + " samples, in a world of " + std::to_string(info.quanta) +
                   " a row has " + std::to_string(maxRowQuanta(info.quanta)) + " at most");
+  if (auto ok = s.linkTiles(parents); !ok) return ok;
+  const auto root = s.writeChunks(info, parents);
+  if (!root) return root.error();
+  for (uint32_t kind = 0; kind < kShardKinds; ++kind)
+    if (auto ok = s.closeShard(kind); !ok) return ok;
 
   std::vector<SectionBytes> sections;
-  const auto addSection = [&](uint32_t kind, ByteWriter& w) {
-    sections.push_back({kind, w.data().size(), std::move(w.data())});
-  };
-  ByteWriter info_bytes, level_bytes, shard_bytes, parent_bytes;
+  const auto addSection = [&](uint32_t kind, std::vector<std::byte> bytes) { sections.push_back({kind, bytes.size(), std::move(bytes)}); };
+  ByteWriter info_bytes, level_bytes, shard_bytes;
   WorldInfoRecord::fields(info_bytes, info);
-  addSection(kSectionInfo, info_bytes);
-  for (size_t l = 0; l < s.levels.size(); ++l) {
-    s.levels[l].cell_m = cell_m[l];
-    LevelRecord::fields(level_bytes, s.levels[l]);
+  addSection(kSectionInfo, std::move(info_bytes.data()));
+  for (const LevelInfo& level : s.levels) {
+    const LevelRecord record{level.nodes, level.tiles, level.entries, level.stored_bytes};
+    LevelRecord::fields(level_bytes, record);
   }
-  addSection(kSectionLevels, level_bytes);
-  for (size_t l = 0; l < parents.size(); ++l) {
-    if (auto ok = writeLinks(parents[l], s.tile_starts[l], s.tile_starts[l + 1], parent_bytes); !ok) return ok;
-  }
-  for (uint32_t kind : {kKindRows, kKindGeometry})
-    if (auto ok = s.closeShard(kind); !ok) return ok;
+  addSection(kSectionLevels, std::move(level_bytes.data()));
   for (const auto& shard : s.shards) ShardRecord::fields(shard_bytes, shard->record());
-  addSection(kSectionShards, shard_bytes);
-  addSection(kSectionParents, parent_bytes);
+  addSection(kSectionShards, std::move(shard_bytes.data()));
+  addSection(kSectionRoot, encodeRoot(*root));
   if (!info.lamp_groups.empty()) {
     ByteWriter group_bytes;
     for (const LampGroup& group : info.lamp_groups) LampGroupRecord::fields(group_bytes, group);
-    addSection(kSectionLampGroups, group_bytes);
-  }
-  if (spatial_grid.size() > maxGridBytes(parents.empty() ? 0 : s.levels[0].nodes)) {
-    s.warnings.push_back(s.path + ": left out the spatial grid, which would take " + std::to_string(spatial_grid.size()) +
-                         " bytes: its patches are far apart; ffinspect locate takes longer");
-  } else if (!spatial_grid.empty()) {
-    auto grid = compress(spatial_grid);
-    if (!grid) return grid.error();
-    sections.push_back({kSectionGrid, spatial_grid.size(), std::move(*grid)});
+    addSection(kSectionLampGroups, std::move(group_bytes.data()));
   }
   if (!info.lights.empty()) {
     ByteWriter light_bytes;
     for (const Light& light : info.lights) LightRecord::fields(light_bytes, light);
-    addSection(kSectionLights, light_bytes);
+    addSection(kSectionLights, std::move(light_bytes.data()));
   }
   // What we are about to promise must be readable: the same checks as the reader's, before any name changes.
   const std::vector<std::byte> manifest = manifestBytes(sections);

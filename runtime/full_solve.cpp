@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 
+#include "formats/whole_world.h"
 #include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {
@@ -31,7 +32,7 @@ struct Rows {
   }
 };
 
-void append(const formats::World& world, const formats::Strip& strip, Rows& rows) {
+void append(const formats::WholeWorld& world, const formats::Strip& strip, Rows& rows) {
   for (const formats::Node& node : strip.nodes) {
     rows.quanta.push_back(node.quanta);
     for (int c = 0; c < 3; ++c)
@@ -70,7 +71,7 @@ namespace {
 
 // each(node, irradiance without a bounce)
 template <class Each>
-Result<void> eachArriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps,
+Result<void> eachArriving(const formats::WholeWorld& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps,
                           Each&& each) {
   std::vector<Vec3> from_lamps;
   for (const formats::TileInfo& info : world.tiles(0)) {
@@ -88,7 +89,7 @@ Result<void> eachArriving(const formats::World& world, std::span<const Vec3> dir
 
 }  // namespace
 
-Result<std::vector<Vec3>> arriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps) {
+Result<std::vector<Vec3>> arriving(const formats::WholeWorld& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps) {
   std::vector<Vec3> light;
   light.reserve(world.levels()[0].nodes);
   auto read = eachArriving(world, direct, sky, lamps, [&](const formats::Node&, Vec3 e) { light.push_back(e); });
@@ -96,7 +97,7 @@ Result<std::vector<Vec3>> arriving(const formats::World& world, std::span<const 
   return light;
 }
 
-Result<std::vector<double>> fullSource(const formats::World& world, std::span<const Vec3> direct, const Sky& sky,
+Result<std::vector<double>> fullSource(const formats::WholeWorld& world, std::span<const Vec3> direct, const Sky& sky,
                                        const Lamps& lamps) {
   std::vector<double> source;
   source.reserve(size_t{3} * world.levels()[0].nodes);
@@ -108,7 +109,7 @@ Result<std::vector<double>> fullSource(const formats::World& world, std::span<co
   return source;
 }
 
-Result<FullSolution> solveFullWorld(const formats::World& world, std::span<const double> source,
+Result<FullSolution> solveFullWorld(const formats::WholeWorld& world, std::span<const double> source,
                                     const FullSolveSettings& settings) {
   const uint32_t patches = world.levels()[0].nodes;
   FF_CHECK_EQ(source.size(), size_t{3} * patches);

@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "runtime/lamps.h"
 #include "runtime/sky.h"
 
@@ -24,14 +24,14 @@ struct FullSolution {
 
 // Irradiance of every patch without a bounce: direct, from sky and lamps. direct: by patch, W/m2; empty: none. Reads every
 // level-0 strip. Errors: unreadable strips.
-Result<std::vector<Vec3>> arriving(const formats::World& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps);
+Result<std::vector<Vec3>> arriving(const formats::WholeWorld& world, std::span<const Vec3> direct, const Sky& sky, const Lamps& lamps);
 // M of every patch, 3 each: albedo times that.
-Result<std::vector<double>> fullSource(const formats::World& world, std::span<const Vec3> direct, const Sky& sky,
+Result<std::vector<double>> fullSource(const formats::WholeWorld& world, std::span<const Vec3> direct, const Sky& sky,
                                        const Lamps& lamps);
 
 // source: M, 3 per patch (as Solver::setSource), patches in node order.
 // Memory: 6 bytes an entry. Errors: unreadable strips.
-Result<FullSolution> solveFullWorld(const formats::World& world, std::span<const double> source,
+Result<FullSolution> solveFullWorld(const formats::WholeWorld& world, std::span<const double> source,
                                     const FullSolveSettings& settings = {});
 
 }  // namespace ff::runtime

@@ -18,11 +18,11 @@ double msSince(Clock::time_point start) {
 
 // What is reflected, to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
 // ancestor's.
-void carryOver(const formats::World& world, std::span<const SlotRange> old, std::span<const Vec4> values,
-               const LocalMatrix& now, std::span<Vec4> carried) {
-  for (const SlotRange& range : now.tiles) {
+void carryOver(std::span<const SlotRange> old, std::span<const Vec4> values, const LocalMatrix& now, std::span<Vec4> carried) {
+  for (size_t t = 0; t < now.tiles.size(); ++t) {
+    const SlotRange& range = now.tiles[t];
     for (uint32_t i = 0; i < range.nodes; ++i) {
-      const uint32_t slot = slotFor(world, old, range.id.level, range.first_node + i);
+      const uint32_t slot = slotFor(old, now.packed[t].strip->tile, i);
       carried[range.first_slot + i] = slot != kNoSlot ? values[slot] : Vec4{};
     }
   }
@@ -134,7 +134,7 @@ Result<void> Updater::takeUpChange() {
       std::fill(radiosity_.begin(), radiosity_.end(), Vec4{});
     }
     before_.assign(m.slots(), {});
-    carryOver(world_, tiles_before_, radiosity_, m, before_);
+    carryOver(tiles_before_, radiosity_, m, before_);
   }
   started_ = true;
   for (auto* per_slot : {&source_, &emission_, &radiosity_}) per_slot->resize(m.slots());

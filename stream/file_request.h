@@ -14,14 +14,14 @@ namespace ff::stream {
 
 class FileRequest {
  public:
-  FileRequest(const formats::World& world, formats::TileId id, const formats::ReadOptions& options)
-      : world_(&world), info_(&world.tiles(id.level)[id.tile]), options_(options), bytes_(info_->stored_bytes) {}
+  FileRequest(const formats::World& world, formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options)
+      : world_(&world), id_(id), extent_(extent), descriptor_(world.descriptor(extent.shard)), options_(options), bytes_(extent.stored_bytes) {}
 
-  formats::TileId id() const { return info_->id; }
-  int descriptor() const { return world_->shards()[info_->shard].descriptor; }
-  uint64_t offset() const { return info_->offset + done_; }
+  formats::TileId id() const { return id_; }
+  int descriptor() const { return *descriptor_; }
+  uint64_t offset() const { return extent_.offset + done_; }
   std::span<std::byte> remaining() { return std::span(bytes_).subspan(done_); }
-  bool finished() const { return ended_ || failure_ != 0 || done_ == bytes_.size(); }
+  bool finished() const { return !descriptor_ || ended_ || failure_ != 0 || done_ == bytes_.size(); }
   // Whether there is nothing more to read, as its options have it, too.
   bool endsNow() {
     if (!finished()) ended_ = formats::whyReadEnds(options_);
@@ -37,10 +37,11 @@ class FileRequest {
   }
 
   Result<std::vector<std::byte>> take() {
-    if (ended_) return Error{ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()), ended_, ""};
+    if (!descriptor_) return descriptor_.error();
+    if (ended_) return Error{ErrorCode::kIo, world_->shards()[extent_.shard].name, "offset " + std::to_string(offset()), ended_, ""};
     if (failure_ == 0) return std::move(bytes_);
     return Error{
-        failure_ == kEndOfFile ? ErrorCode::kInvalidFile : ErrorCode::kIo, world_->shards()[info_->shard].name, "offset " + std::to_string(offset()),
+        failure_ == kEndOfFile ? ErrorCode::kInvalidFile : ErrorCode::kIo, world_->shards()[extent_.shard].name, "offset " + std::to_string(offset()),
         failure_ == kEndOfFile ? "the file ends here" : std::string("read: ") + std::strerror(failure_),
         failure_ == kEndOfFile ? "restore this file from a copy, or bake again" : "check the disk"};
   }
@@ -48,7 +49,9 @@ class FileRequest {
  private:
   static constexpr int kEndOfFile = -1;
   const formats::World* world_;
-  const formats::TileInfo* info_;
+  formats::TileId id_;
+  formats::Extent extent_;
+  Result<int> descriptor_;  // of the shard
   formats::ReadOptions options_;
   std::vector<std::byte> bytes_;
   size_t done_ = 0;

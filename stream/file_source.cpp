@@ -26,10 +26,10 @@ class ThreadSource final : public TileSource {
     for (std::thread& thread : threads_) thread.join();
   }
 
-  void read(formats::TileId id, const formats::ReadOptions& options, Done done) override {
+  void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) override {
     {
       const std::lock_guard lock(mutex_);
-      queue_.push_back({id, options, std::move(done)});
+      queue_.push_back({id, extent, options, std::move(done)});
     }
     wake_.notify_one();
   }
@@ -39,6 +39,7 @@ class ThreadSource final : public TileSource {
  private:
   struct Item {
     formats::TileId id;
+    formats::Extent extent;
     formats::ReadOptions options;
     Done done;
   };
@@ -53,13 +54,13 @@ class ThreadSource final : public TileSource {
         item = std::move(queue_.front());
         queue_.pop_front();
       }
-      item.done(item.id, readBlocking(item.id, item.options));
+      item.done(item.id, readBlocking(item.extent, item.options));
     }
   }
 
-  Result<std::vector<std::byte>> readBlocking(formats::TileId id, const formats::ReadOptions& options) const try {
-    std::vector<std::byte> bytes(world_.tiles(id.level)[id.tile].stored_bytes);
-    if (auto ok = world_.readStored(id, bytes, options); !ok) return ok.error();
+  Result<std::vector<std::byte>> readBlocking(const formats::Extent& extent, const formats::ReadOptions& options) const try {
+    std::vector<std::byte> bytes(extent.stored_bytes);
+    if (auto ok = world_.readStored(extent, bytes, options); !ok) return ok.error();
     return bytes;
   } catch (const std::bad_alloc&) {
     return Error{ErrorCode::kIo, "", "", "out of memory", ""};

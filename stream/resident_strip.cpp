@@ -23,8 +23,9 @@ void forEachRun(const formats::Strip& strip, size_t first, size_t end, Run&& run
 
 }  // namespace
 
-Result<ResidentStrip> pack(formats::Strip&& strip) {
+Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks) {
   ResidentStrip packed;
+  packed.tile = tile;
   packed.id = strip.id;
   packed.first_node = strip.first_node;
   packed.nodes = std::move(strip.nodes);
@@ -36,7 +37,9 @@ Result<ResidentStrip> pack(formats::Strip&& strip) {
   uint32_t longest = 0;
   size_t at = 0;
   for (const formats::Block& block : strip.blocks) {
-    packed.partners.push_back(block.partner_tile);
+    const formats::ChunkPtr& chunk = chunks[packed.partners.size()];
+    if (packed.chunks.empty() || packed.chunks.back() != chunk) packed.chunks.push_back(chunk);
+    packed.partners.push_back({block.partner_tile, static_cast<uint32_t>(packed.chunks.size() - 1)});
     forEachRun(strip, at, at + block.entries, [&](uint8_t row, size_t from, size_t end) {
       uint32_t n = 0;
       for (size_t k = from; k < end; ++k) n += wordsOf(strip.counts[k]);
@@ -80,7 +83,7 @@ Result<ResidentStrip> pack(formats::Strip&& strip) {
 }
 
 uint64_t residentBytes(const ResidentStrip& strip) {
-  return sizeof(ResidentStrip) + strip.nodes.size() * sizeof(formats::Node) + strip.partners.size() * 4 +
+  return sizeof(ResidentStrip) + strip.nodes.size() * sizeof(formats::Node) + strip.partners.size() * sizeof(ResidentStrip::Partner) + strip.chunks.size() * sizeof(formats::ChunkPtr) +
          strip.run_start.size() * 4 + strip.row_start.size() * 4 + strip.row_partners.size() * 8 +
          strip.runs.size() * sizeof(ResidentStrip::Run) + strip.words.size() * 2 +
          strip.lamps.size() * sizeof(formats::LampLight);

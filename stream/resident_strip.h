@@ -3,8 +3,10 @@
 #pragma once
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
+#include "formats/chunk.h"
 #include "formats/model.h"
 #include "formats/result.h"
 
@@ -13,8 +15,14 @@ namespace ff::stream {
 struct ResidentStrip {
   formats::TileId id;
   uint32_t first_node = 0;  // number of nodes[0] within its level
+  formats::TileRef tile;    // where it stands in the world's index
   std::vector<formats::Node> nodes;
-  std::vector<uint32_t> partners;  // partner tiles (of the strip's own level), ascending
+  struct Partner {
+    uint32_t tile;   // of the strip's own level
+    uint32_t chunk;  // that holds it: index into `chunks`
+  };
+  std::vector<Partner> partners;            // tiles ascending
+  std::vector<formats::ChunkPtr> chunks;    // the index of all partners stays as long as the strip
   // Row r has the runs runs[run_start[r] .. run_start[r + 1]), one a partner tile, and the words words[row_start[r] ..
   // row_start[r + 1]), run after run. A word is `column << 8 | count`; a count above 255 takes several with one column.
   // Form factor: F = count / nodes[r].quanta.
@@ -31,8 +39,8 @@ struct ResidentStrip {
 
 using StripPtr = std::shared_ptr<const ResidentStrip>;
 
-// Takes the strip apart. Errors (kInvalidFile): more partner tiles or words in a run than 16 bits can count.
-Result<ResidentStrip> pack(formats::Strip&& strip);
+// Takes the strip apart. chunks: of each block's partner. Errors (kInvalidFile): more partner tiles or words in a run than 16 bits can count.
+Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
 
 // Bytes that a strip takes in memory.
 uint64_t residentBytes(const ResidentStrip& strip);

@@ -23,54 +23,60 @@ using formats::TileId;
 constexpr float kLookAheadSeconds = 0.5f;
 
 // A failed strip is read once more before it is given up.
-Result<StripPtr> loadNow(const formats::World& world, TileSource& source, TileId id) {
+Result<StripPtr> loadNow(const formats::World& world, TileSource& source, const formats::TileRef& tile) {
   for (int attempt = 0;; ++attempt) {
     auto promise = std::make_shared<std::promise<Result<std::vector<std::byte>>>>();
     auto future = promise->get_future();
-    source.read(id, {}, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
+    source.read(tile.id(), tile.info().strip, {}, [promise](TileId, Result<std::vector<std::byte>> bytes) { promise->set_value(std::move(bytes)); });
     const Result<std::vector<std::byte>> bytes = future.get();
-    auto strip = bytes ? decodeAndPack(world, id, *bytes) : Result<StripPtr>(bytes.error());
+    auto strip = bytes ? decodeAndPack(world, tile, *bytes) : Result<StripPtr>(bytes.error());
     if (strip || attempt == 1) return strip;
   }
 }
 
 class StreamerImpl final : public Streamer {
  public:
-  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source)
+  // top: the coarsest level's chunks.
+  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top)
       : world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
         cache_(settings.memory_bytes, wanted_.mostWanted() + kMoreCached),
         source_(std::move(source)),
         loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.mostWanted(), wanted_.mostWanted() + kMoreCached) {
+    for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
     failures_.reserve(64);
+    chunk_failures_.reserve(64);
     previous_.reserve(wanted_.mostWanted());
     missing_.reserve(wanted_.mostWanted());
     active_.reserve(wanted_.mostWanted());
     next_active_.reserve(wanted_.mostWanted());
   }
 
-  Result<void> loadTop() {
-    for (const formats::TileInfo& info : world_.tiles(static_cast<uint32_t>(world_.levels().size() - 1))) {
-      auto strip = loadNow(world_, *source_, info.id);
-      if (!strip) return strip.error();
-      cache_.insert(std::move(*strip), true, loader_.retired());
-      ++stats_.strips_read;
-      stats_.bytes_read += info.stored_bytes;
-      previous_.push_back(info.id);
-    }
+  Result<void> loadTop(std::span<const formats::ChunkPtr> top) {
+    for (const formats::ChunkPtr& chunk : top)
+      for (uint32_t t = 0; t < chunk->tiles.size(); ++t) {
+        const formats::TileRef tile{chunk, t};
+        auto strip = loadNow(world_, *source_, tile);
+        if (!strip) return strip.error();
+        cache_.insert(std::move(*strip), true, loader_.retired());
+        ++stats_.strips_read;
+        stats_.bytes_read += tile.info().strip.stored_bytes;
+        previous_.push_back(tile.id());
+      }
     chooseActive();
     return {};
   }
 
   bool update(Vec3 observer, Vec3 velocity) override {
     const bool moved = !started_ || !(observer == observer_);
-    if (!moved && !loader_.anyArrived() && !isRetryDue()) return false;
+    const bool retries = isRetryDue();
+    if (!moved && !loader_.anyArrived() && !retries) return false;
     started_ = true;
     observer_ = observer;
     velocity_ = velocity;
-    takeArrivals();
-    if (moved) walk();
+    const bool index_grew = takeArrivals();
+    if (moved || index_grew || retries) walk();
     queueMissing();
     return chooseActive();
   }
@@ -110,11 +116,12 @@ class StreamerImpl final : public Streamer {
   };
   struct Missing {
     float need;  // distance over radius, where the observer will be
-    TileId id;
+    WantedTiles::Tile tile;
   };
 
-  void takeArrivals() {
-    if (!loader_.anyArrived()) return;
+  // Returns whether a chunk has come.
+  bool takeArrivals() {
+    if (!loader_.anyArrived()) return false;
     for (StripLoader::Arrival& arrival : loader_.take()) {
       ++stats_.strips_read;
       stats_.bytes_read += arrival.stored_bytes;
@@ -123,37 +130,55 @@ class StreamerImpl final : public Streamer {
         failures_.erase(arrival.id);
         cache_.insert(std::move(arrival.strip), wanted, loader_.retired());
       } else if (wanted) {
-        fail(arrival.id);
+        fail(failures_, arrival.id);
       }
     }
+    bool index_grew = false;
+    for (StripLoader::ChunkArrival& arrival : loader_.takeChunks()) {
+      if (!arrival.chunk) {
+        fail(chunk_failures_, arrival.id);
+        continue;
+      }
+      chunk_failures_.erase(arrival.id);
+      wanted_.add(std::move(arrival.chunk));
+      index_grew = true;
+    }
+    return index_grew;
   }
 
   void walk() {
-    const std::span<const TileId> now = wanted_.walk(observer_);
+    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_);
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id)) continue;
       cache_.setWanted(id, false);
       failures_.erase(id);  // the next visit may try again
     }
-    for (const TileId id : now) cache_.setWanted(id, true);
-    previous_.assign(now.begin(), now.end());
+    previous_.clear();
+    for (const WantedTiles::Tile& tile : now) {
+      cache_.setWanted(tile.id, true);
+      previous_.push_back(tile.id);
+    }
+    wanted_.forget(loader_.retired());
   }
 
   // Wanted tiles that are neither here nor given up; the loader leaves out those on their way.
   void queueMissing() {
     const Vec3 ahead = observer_ + velocity_ * kLookAheadSeconds;
     missing_.clear();
-    for (const TileId id : previous_)
-      if (!cache_.find(id) && !isGivenUp(id))
-        missing_.push_back({world_.tiles(id.level)[id.tile].bounds.distance(ahead) / wanted_.radius(id.level), id});
-    const bool had_queue = std::exchange(has_queue_, !missing_.empty());
+    for (const WantedTiles::Tile& tile : wanted_.wanted())
+      if (!cache_.find(tile.id) && !isGivenUp(failures_, tile.id))
+        missing_.push_back({tile.info().bounds.distance(ahead) / wanted_.radius(tile.id.level), tile});
+    forgetFailures();
+    for (const ChunkRequest& request : wanted_.missingChunks())
+      if (!isGivenUp(chunk_failures_, request.id())) loader_.chunkQueue().push_back(request);
+    const bool had_queue = std::exchange(has_queue_, !missing_.empty() || !loader_.chunkQueue().empty());
     if (!had_queue && !has_queue_ && loader_.retired().empty()) return;
     // The most urgent last. A tile is of no use before its ancestors: coarser first where the need is the same.
     std::sort(missing_.begin(), missing_.end(), [](const Missing& a, const Missing& b) {
       if (a.need != b.need) return a.need > b.need;
-      return a.id.level != b.id.level ? a.id.level < b.id.level : a.id.tile > b.id.tile;
+      return a.tile.id.level != b.tile.id.level ? a.tile.id.level < b.tile.id.level : a.tile.id.tile > b.tile.id.tile;
     });
-    for (const Missing& m : missing_) loader_.queue().push_back(m.id);
+    for (const Missing& m : missing_) loader_.queue().push_back(m.tile.ref());
     loader_.submit();
   }
 
@@ -167,7 +192,7 @@ class StreamerImpl final : public Streamer {
       const bool top = id.level + 1 == world_.levels().size();
       const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
       if (!top) {
-        const TileId parent{id.level + 1, world_.parentTile(id)};
+        const TileId parent{id.level + 1, strip->tile.info().parent_tile};
         const auto at = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
         if (at == next_active_.end() || (*at)->id != parent) continue;
       }
@@ -179,17 +204,25 @@ class StreamerImpl final : public Streamer {
     return true;
   }
 
-  void fail(TileId id) {
-    Failure& failure = failures_[id];
+  using Failures = TileMap<Failure>;
+  void fail(Failures& failures, TileId id) {
+    Failure& failure = failures[id];
     stats_.failed += ++failure.times == kGivenUp;
     failure.retry_at = Clock::now() + retry_after_;
   }
-  bool isGivenUp(TileId id) {
-    const auto at = failures_.find(id);
-    return at != failures_.end() && at->second.times >= kGivenUp && Clock::now() < at->second.retry_at;
+  static bool isGivenUp(const Failures& failures, TileId id) {
+    const auto at = failures.find(id);
+    return at != failures.end() && at->second.times >= kGivenUp && Clock::now() < at->second.retry_at;
+  }
+  // Of chunks that the observer has left.
+  void forgetFailures() {
+    for (auto at = chunk_failures_.begin(); at != chunk_failures_.end();)
+      at = std::ranges::any_of(wanted_.missingChunks(), [id = at->first](const ChunkRequest& r) { return r.id() == id; }) ? std::next(at) : chunk_failures_.erase(at);
   }
   bool isRetryDue() const {
-    return !failures_.empty() && std::ranges::any_of(failures_, [now = Clock::now()](const auto& f) { return now >= f.second.retry_at; });
+    for (const Failures* failures : {&failures_, &chunk_failures_})
+      if (!failures->empty() && std::ranges::any_of(*failures, [now = Clock::now()](const auto& f) { return now >= f.second.retry_at; })) return true;
+    return false;
   }
 
   const formats::World& world_;
@@ -200,14 +233,15 @@ class StreamerImpl final : public Streamer {
   bool started_ = false, has_queue_ = false;
   std::vector<TileId> previous_;       // wanted by the last walk, sorted
   std::vector<Missing> missing_;
-  TileMap<Failure> failures_;          // of wanted tiles
+  Failures failures_;                  // of wanted tiles
+  Failures chunk_failures_;            // by their first tile
   std::vector<StripPtr> active_, next_active_;
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // last: its reads end before the source goes
 };
 
-Result<void> check(const formats::World& world, const StreamSettings& s) {
+Result<void> check(const formats::World& world, const StreamSettings& s, std::span<const formats::ChunkPtr> top) {
   const auto refuse = [&](const std::string& what, const char* remedy) {
     return Error{ErrorCode::kUsage, world.path(), "", what, remedy};
   };
@@ -219,10 +253,11 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
   if (!(s.retry_seconds > 0 && s.retry_seconds <= 1e6f)) return refuse("retry_seconds is not between 0 and 1e6", "try 5");
   uint64_t nodes = 0, bytes = 0;
-  for (const formats::TileInfo& info : world.tiles(static_cast<uint32_t>(world.levels().size() - 1))) {
-    nodes += info.nodes;
-    bytes += residentBytesBound(world, info);
-  }
+  for (const formats::ChunkPtr& chunk : top)
+    for (const formats::TileInfo& info : chunk->tiles) {
+      nodes += info.nodes;
+      bytes += residentBytesBound(world, info);
+    }
   if (nodes > s.max_nodes)
     return refuse(
         "the top level alone has " + std::to_string(nodes) + " nodes, max_nodes is " + std::to_string(s.max_nodes),
@@ -238,10 +273,16 @@ Result<void> check(const formats::World& world, const StreamSettings& s) {
 
 Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
                                                    std::unique_ptr<TileSource> source) try {
-  if (auto fit = check(world, settings); !fit) return fit.error();
+  std::vector<formats::ChunkPtr> top;
+  for (uint32_t k = 0; k < world.root()->children.size(); ++k) {
+    auto chunk = world.child(world.root(), k);
+    if (!chunk) return chunk.error();
+    top.push_back(std::move(*chunk));
+  }
+  if (auto fit = check(world, settings, top); !fit) return fit.error();
   if (!source) source = makeFileSource(world);
-  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source));
-  if (auto loaded = streamer->loadTop(); !loaded) return loaded.error();
+  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top);
+  if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
   return std::unique_ptr<Streamer>(std::move(streamer));
 } catch (const std::system_error& e) {
   return Error{ErrorCode::kIo, world.path(), "", std::string("cannot start a thread: ") + e.what(), "close other programs, or raise the limit on processes"};

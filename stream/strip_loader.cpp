@@ -9,6 +9,7 @@
 namespace ff::stream {
 
 using formats::TileId;
+using formats::TileRef;
 
 namespace {
 
@@ -16,15 +17,24 @@ namespace {
 bool isAfter(uint32_t a, uint32_t b) { return static_cast<int32_t>(a - b) > 0; }
 
 constexpr const char* kOutOfMemory = "out of memory";  // short enough for a string to need none
+constexpr size_t kMostChunks = 1024;                    // asked for at once; more wait for the next time
+constexpr size_t kMostArrivedChunks = 64;               // that wait to be taken
 
 }  // namespace
 
-Result<StripPtr> decodeAndPack(const formats::World& world, TileId id, std::span<const std::byte> stored) {
+Result<StripPtr> decodeAndPack(const formats::World& world, const TileRef& tile, std::span<const std::byte> stored) {
   formats::Strip strip;
-  if (auto decoded = world.decodeStrip(id, stored, strip); !decoded) return decoded.error();
-  auto packed = pack(std::move(strip));
+  formats::World::PartnerChunks chunks;
+  if (auto decoded = world.decodeStrip(tile, stored, strip, &chunks); !decoded) return decoded.error();
+  auto packed = pack(std::move(strip), tile, chunks);
   if (!packed) return packed.error();
   return std::make_shared<const ResidentStrip>(std::move(*packed));
+}
+
+Result<StripPtr> readResident(const formats::World& world, const TileRef& tile) {
+  std::vector<std::byte> stored(tile.info().strip.stored_bytes);
+  if (auto read = world.readStored(tile.info().strip, stored); !read) return read.error();
+  return decodeAndPack(world, tile, stored);
 }
 
 StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
@@ -33,12 +43,17 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
       source_(source),
       depth_(static_cast<size_t>(std::max(depth, 1))) {
   // Lists change places when they are handed over, so each has room for the most that any of them can hold.
-  for (std::vector<TileId>* list : {&next_queue_, &submitted_, &incoming_, &queue_, &sorted_}) list->reserve(most_queued);
+  for (Queue* queue : {&next_, &submitted_, &incoming_, &queue_}) {
+    queue->tiles.reserve(most_queued);
+    queue->chunks.reserve(kMostChunks);
+  }
+  sorted_.reserve(most_queued);
   const size_t most_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(most_arrived);
-  for (std::vector<StripPtr>* list : {&next_retired_, &submitted_retired_, &incoming_retired_})
-    list->reserve(most_retired + 2 * most_arrived);
+  for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMostArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
+  for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(most_retired + 2 * most_arrived);
   under_way_.reserve(depth_);
+  chunks_under_way_.reserve(static_cast<size_t>(std::max(decode_threads, 1)));
   since_taken_.reserve(4 * most_arrived);
   startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
 }
@@ -56,15 +71,16 @@ StripLoader::~StripLoader() {
 }
 
 void StripLoader::submit() {
+  if (next_.chunks.size() > kMostChunks) next_.chunks.erase(next_.chunks.begin(), next_.chunks.end() - kMostChunks);
+  next_.taken = taken_count_;
   {
     const std::lock_guard lock(hand_over_mutex_);
-    submitted_.swap(next_queue_);
-    submitted_taken_ = taken_count_;
+    std::swap(submitted_, next_);
     fresh_ = true;
     if (submitted_retired_.empty()) submitted_retired_.swap(next_retired_);
-    submitted_count_.store(static_cast<uint32_t>(submitted_.size()));
+    submitted_count_.store(submitted_.size());
   }
-  next_queue_.clear();
+  next_.clear();
   wake();
 }
 
@@ -79,12 +95,21 @@ std::vector<StripLoader::Arrival>& StripLoader::take() {
   return taken_;
 }
 
+std::vector<StripLoader::ChunkArrival>& StripLoader::takeChunks() {
+  taken_chunks_.clear();
+  const std::lock_guard lock(hand_over_mutex_);
+  arrived_chunks_.swap(taken_chunks_);
+  arrived_chunk_count_.store(0);
+  return taken_chunks_;
+}
+
 StripLoader::Backlog StripLoader::backlog() const {
   Backlog backlog;
   backlog.queued = submitted_count_.load();
   backlog.queued += queued_count_.load();
   backlog.under_way = under_way_count_.load();
   backlog.arrived = arrived_count_.load();
+  backlog.arrived += arrived_chunk_count_.load();
   return backlog;
 }
 
@@ -117,6 +142,10 @@ void StripLoader::work() {
     const uint32_t seen = wake_.load();
     pickUp();
     startReads();
+    if (const std::optional<ChunkRequest> request = nextChunk()) {
+      readChunk(*request);
+      continue;
+    }
     if (const std::optional<Stored> stored = nextToDecode()) {
       decode(*stored);
       continue;
@@ -137,58 +166,98 @@ void StripLoader::pickUp() {
     submitted_retired_.swap(incoming_retired_);
     fresh = std::exchange(fresh_, false);
     if (fresh) {
-      submitted_.swap(incoming_);
-      queue_taken_ = submitted_taken_;
-      queued_count_.store(static_cast<uint32_t>(incoming_.size()));
+      std::swap(submitted_, incoming_);
+      queued_count_.store(incoming_.size());
       submitted_count_.store(0);
     }
   }
   freeRetired();
   if (!fresh) return;
-  std::erase_if(since_taken_, [this](const auto& arrival) { return !isAfter(arrival.first, queue_taken_); });
-  sorted_.assign(incoming_.begin(), incoming_.end());
+  std::erase_if(since_taken_, [this](const auto& arrival) { return !isAfter(arrival.first, incoming_.taken); });
+  sorted_.clear();
+  for (const TileRef& tile : incoming_.tiles) sorted_.push_back(tile.id());
   std::ranges::sort(sorted_);
-  cancelled_.fetch_add(static_cast<uint64_t>(std::ranges::count_if(queue_, [this](TileId id) { return !std::ranges::binary_search(sorted_, id); })));
-  queue_.swap(incoming_);
+  cancelled_.fetch_add(static_cast<uint64_t>(std::ranges::count_if(queue_.tiles, [this](const TileRef& tile) { return !std::ranges::binary_search(sorted_, tile.id()); })));
+  std::swap(queue_, incoming_);
   incoming_.clear();
   progress();
 }
 
-// Nobody can come to share a strip that the list alone holds, so a count of 1 stays.
+// Nobody can come to share what the list alone holds, so a count of 1 stays.
 void StripLoader::freeRetired() {
-  for (StripPtr& strip : incoming_retired_) try {
-      retired_.push_back(std::move(strip));
+  for (auto& item : incoming_retired_) try {
+      retired_.push_back(std::move(item));
     } catch (const std::bad_alloc&) {  // whoever holds it last frees it
     }
   incoming_retired_.clear();
-  std::erase_if(retired_, [](const StripPtr& strip) { return strip.use_count() == 1; });
+  std::erase_if(retired_, [](const auto& item) { return item.use_count() == 1; });
 }
 
 void StripLoader::startReads() {
-  while (const std::optional<TileId> id = nextRead()) try {
-      source_.read(*id, {.cancelled = &cancel_reads_}, [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+  while (const std::optional<TileRef> tile = nextRead()) try {
+      source_.read(tile->id(), tile->info().strip, {.cancelled = &cancel_reads_},
+                   [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
     } catch (const std::bad_alloc&) {
-      onRead(*id, Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
+      onRead(tile->id(), Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
     }
 }
 
-std::optional<TileId> StripLoader::nextRead() {
+std::optional<TileRef> StripLoader::nextRead() {
   const std::lock_guard lock(pipeline_mutex_);
-  std::optional<TileId> found;
-  while (!found && !stop_ && !queue_.empty() && under_way_count_.load() < depth_ && arrived_count_.load() < 4 * depth_) {
-    const TileId id = queue_.back();
-    queue_.pop_back();
-    // Whoever made the queue did not know of arrivals after the queue_taken_-th.
+  std::optional<TileRef> found;
+  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 4 * depth_) {
+    TileRef tile = std::move(queue_.tiles.back());
+    queue_.tiles.pop_back();
+    const TileId id = tile.id();
+    // Whoever made the queue did not know of arrivals after the queue_.taken-th.
     const bool arrived = std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; });
-    if (!arrived && std::ranges::find(under_way_, id) == under_way_.end()) found = id;
+    if (!arrived && std::ranges::find(under_way_, id, &TileRef::id) == under_way_.end()) found = std::move(tile);
   }
   if (found) {
     under_way_.push_back(*found);
     under_way_count_.fetch_add(1);
     ++reads_;
   }
-  if (queued_count_.exchange(static_cast<uint32_t>(queue_.size())) != queue_.size()) progress();
+  countQueued();
   return found;
+}
+
+void StripLoader::countQueued() {
+  if (queued_count_.exchange(queue_.size()) != queue_.size()) progress();
+}
+
+std::optional<ChunkRequest> StripLoader::nextChunk() {
+  const std::lock_guard lock(pipeline_mutex_);
+  std::optional<ChunkRequest> found;
+  while (!found && !stop_ && !queue_.chunks.empty() && arrived_chunk_count_.load() < kMostArrivedChunks) {
+    ChunkRequest request = std::move(queue_.chunks.back());
+    queue_.chunks.pop_back();
+    if (std::ranges::find(chunks_under_way_, request.id()) == chunks_under_way_.end()) found = std::move(request);
+  }
+  if (found) {
+    chunks_under_way_.push_back(found->id());
+    under_way_count_.fetch_add(1);
+  }
+  countQueued();
+  return found;
+}
+
+void StripLoader::readChunk(const ChunkRequest& request) {
+  Result<formats::ChunkPtr> chunk = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
+  try {
+    chunk = world_.child(request.parent, request.child);
+  } catch (const std::bad_alloc&) {  // also of the line that would say so
+  }
+  const std::lock_guard lock(pipeline_mutex_);
+  if (!chunk) keepFailure(chunk.error());
+  {
+    const std::lock_guard hand_over_lock(hand_over_mutex_);
+    arrived_chunks_.push_back({request.id(), chunk ? std::move(*chunk) : nullptr});
+    arrived_chunk_count_.store(static_cast<uint32_t>(arrived_chunks_.size()));
+  }
+  std::erase(chunks_under_way_, request.id());
+  under_way_count_.fetch_sub(1);
+  progress();
 }
 
 std::optional<StripLoader::Stored> StripLoader::nextToDecode() {
@@ -204,7 +273,7 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
   if (!bytes) {
     fail(id, bytes.error(), 0);
   } else try {
-    to_decode_.push_back({id, std::move(*bytes)});
+    to_decode_.push_back({*std::ranges::find(under_way_, id, &TileRef::id), std::move(*bytes)});
   } catch (const std::bad_alloc&) {
     fail(id, {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
   }
@@ -218,23 +287,27 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
 void StripLoader::decode(const Stored& stored) {
   Result<StripPtr> strip = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
   try {
-    strip = decodeAndPack(world_, stored.id, stored.bytes);
+    strip = decodeAndPack(world_, stored.tile, stored.bytes);
   } catch (const std::bad_alloc&) {  // also of the line that would say so
   }
   const std::lock_guard lock(pipeline_mutex_);
   if (strip)
-    arrive(stored.id, std::move(*strip), stored.bytes.size());
+    arrive(stored.tile.id(), std::move(*strip), stored.bytes.size());
   else
-    fail(stored.id, strip.error(), stored.bytes.size());
+    fail(stored.tile.id(), strip.error(), stored.bytes.size());
 }
 
 void StripLoader::fail(TileId id, const Error& error, uint64_t stored_bytes) {
+  keepFailure(error);
+  arrive(id, nullptr, stored_bytes);
+}
+
+void StripLoader::keepFailure(const Error& error) {
   try {
     failure_ = error;
   } catch (const std::bad_alloc&) {
     failure_ = {ErrorCode::kIo, "", "", kOutOfMemory, ""};
   }
-  arrive(id, nullptr, stored_bytes);
 }
 
 void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
@@ -245,7 +318,7 @@ void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
     arrived_count_.store(static_cast<uint32_t>(arrived_.size()));
   }
   if (since_taken_.size() < since_taken_.capacity()) since_taken_.emplace_back(arrivals_, id);  // else it may be read twice
-  std::erase(under_way_, id);
+  std::erase_if(under_way_, [id](const TileRef& tile) { return tile.id() == id; });
   under_way_count_.fetch_sub(1);
   progress();
 }

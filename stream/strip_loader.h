@@ -1,5 +1,5 @@
 // The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, and decodes them on
-// its own threads. The owner is one thread, which must not be held up: its calls allocate and free nothing, start no
+// its own threads, which also read the index of chunks that are asked for. The owner is one thread, which must not be held up: its calls allocate and free nothing, start no
 // reads, and share a lock with the loader's threads that only ever guards a swap of lists (and, on their side, the
 // addition of one arrival).
 #pragma once
@@ -21,7 +21,17 @@
 namespace ff::stream {
 
 // From stored bytes to a strip to keep. Errors: as World::decodeStrip and pack.
-Result<StripPtr> decodeAndPack(const formats::World& world, formats::TileId id, std::span<const std::byte> stored);
+Result<StripPtr> decodeAndPack(const formats::World& world, const formats::TileRef& tile, std::span<const std::byte> stored);
+
+// Reads a strip, too, and waits for it.
+Result<StripPtr> readResident(const formats::World& world, const formats::TileRef& tile);
+
+// A chunk to be read: its parent, and which child of that it is.
+struct ChunkRequest {
+  formats::ChunkPtr parent;
+  uint32_t child = 0;
+  formats::TileId id() const { return {parent->level - 1, parent->firstTileOf(child)}; }  // its first tile, by which it is known
+};
 
 class StripLoader {
  public:
@@ -29,6 +39,10 @@ class StripLoader {
     formats::TileId id;
     StripPtr strip;             // null: reading or decoding failed
     uint64_t stored_bytes = 0;  // read, also of strips that failed to decode
+  };
+  struct ChunkArrival {
+    formats::TileId id;
+    formats::ChunkPtr chunk;    // null: reading failed
   };
   struct Backlog {
     uint32_t queued = 0, under_way = 0, arrived = 0;
@@ -44,17 +58,19 @@ class StripLoader {
   ~StripLoader();
 
   // The owner's calls.
-  // The list to fill for submit(), the most urgent tile last. Empty after submit().
-  std::vector<formats::TileId>& queue() { return next_queue_; }
-  // Strips to be let go of. The loader's threads keep each until nobody else holds it and then free it, so that no
-  // owner of a strip ever frees one. Empty after submit(), unless the loader is late: then they wait for the next.
-  std::vector<StripPtr>& retired() { return next_retired_; }
-  // Replaces what is still queued by queue(). Tiles under way, or arrived since the last take(), are left out.
+  // The lists to fill for submit(), the most urgent last. Empty after submit().
+  std::vector<formats::TileRef>& queue() { return next_.tiles; }
+  std::vector<ChunkRequest>& chunkQueue() { return next_.chunks; }
+  // Strips and chunks to be let go of. The loader's threads keep each until nobody else holds it and then free it, so that no
+  // owner ever frees one. Empty after submit(), unless the loader is late: then they wait for the next.
+  std::vector<std::shared_ptr<const void>>& retired() { return next_retired_; }
+  // Replaces what is still queued by queue() and chunkQueue(). What is under way, or arrived since the last take(), is left out.
   void submit();
-  // Whether take() would bring something; no lock.
-  bool anyArrived() const { return arrived_count_.load() != 0; }
+  // Whether take() or takeChunks() would bring something; no lock.
+  bool anyArrived() const { return arrived_count_.load() != 0 || arrived_chunk_count_.load() != 0; }
   // What has arrived, for the caller to empty. Valid until the next call, which forgets what is left in it.
   std::vector<Arrival>& take();
+  std::vector<ChunkArrival>& takeChunks();
 
   // From any thread.
   Backlog backlog() const;
@@ -66,21 +82,33 @@ class StripLoader {
   void awaitProgress() const;
 
  private:
+  // What is asked for, the most urgent last. `taken`: strips that its maker had taken when it was made.
+  struct Queue {
+    std::vector<formats::TileRef> tiles;
+    std::vector<ChunkRequest> chunks;
+    uint32_t taken = 0;
+    uint32_t size() const { return static_cast<uint32_t>(tiles.size() + chunks.size()); }
+    void clear() { tiles.clear(), chunks.clear(); }
+  };
   struct Stored {
-    formats::TileId id;
+    formats::TileRef tile;
     std::vector<std::byte> bytes;
   };
   void work();
   void pickUp();
   void freeRetired();  // with pipeline_mutex_ held
   void startReads();
-  std::optional<formats::TileId> nextRead();
+  std::optional<formats::TileRef> nextRead();
+  std::optional<ChunkRequest> nextChunk();
   std::optional<Stored> nextToDecode();
   void onRead(formats::TileId id, Result<std::vector<std::byte>> bytes);
+  void readChunk(const ChunkRequest& request);
   void decode(const Stored& stored);
-  // Both with pipeline_mutex_ held; they need no memory.
+  // All with pipeline_mutex_ held; they need no memory.
+  void countQueued();
   void arrive(formats::TileId id, StripPtr strip, uint64_t stored_bytes);
   void fail(formats::TileId id, const Error& error, uint64_t stored_bytes);
+  void keepFailure(const Error& error);
   void wake();
   void progress();
 
@@ -89,38 +117,39 @@ class StripLoader {
   const size_t depth_;
 
   // The owner's.
-  std::vector<formats::TileId> next_queue_;
-  std::vector<StripPtr> next_retired_;
+  Queue next_;
+  std::vector<std::shared_ptr<const void>> next_retired_;
   std::vector<Arrival> taken_;
-  uint32_t taken_count_ = 0;  // arrivals taken so far
+  std::vector<ChunkArrival> taken_chunks_;
+  uint32_t taken_count_ = 0;  // strips taken so far
 
   // What is handed over, in both directions.
   std::mutex hand_over_mutex_;
-  std::vector<formats::TileId> submitted_;
-  std::vector<StripPtr> submitted_retired_;
+  Queue submitted_;
+  std::vector<std::shared_ptr<const void>> submitted_retired_;
   std::vector<Arrival> arrived_;
-  uint32_t submitted_taken_ = 0;  // taken_count_ when submitted_ was made
-  uint32_t arrivals_ = 0;         // so far
+  std::vector<ChunkArrival> arrived_chunks_;
+  uint32_t arrivals_ = 0;         // of strips, so far
   bool fresh_ = false;            // submitted_ has not been picked up
 
   // The loader's threads' and the source's; locked before hand_over_mutex_.
   mutable std::mutex pipeline_mutex_;
   std::condition_variable reads_done_;
-  std::vector<formats::TileId> queue_, incoming_;  // the most urgent last
-  uint32_t queue_taken_ = 0;
-  std::vector<formats::TileId> under_way_;       // being read, waiting for a decoder or being decoded; depth_ at most
-  std::vector<std::pair<uint32_t, formats::TileId>> since_taken_;  // arrivals after the queue_taken_-th, with their numbers from 1
+  Queue queue_, incoming_;
+  std::vector<formats::TileRef> under_way_;      // being read, waiting for a decoder or being decoded; depth_ at most
+  std::vector<formats::TileId> chunks_under_way_;
+  std::vector<std::pair<uint32_t, formats::TileId>> since_taken_;  // arrivals after the queue_.taken-th, with their numbers from 1
   std::vector<formats::TileId> sorted_;          // of incoming_
-  std::vector<StripPtr> retired_, incoming_retired_;
+  std::vector<std::shared_ptr<const void>> retired_, incoming_retired_;
   std::deque<Stored> to_decode_;
   Error failure_;
   uint32_t reads_ = 0;  // callbacks still to come
   bool stop_ = false;
   std::atomic<bool> cancel_reads_{false};
 
-  // A tile is counted by the next of these before the one before forgets it, so that reading them in this order misses
+  // What is asked for is counted by the next of these before the one before forgets it, so that reading them in this order misses
   // none.
-  std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0};
+  std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0}, arrived_chunk_count_{0};
   std::atomic<uint64_t> cancelled_{0};
   std::atomic<uint32_t> wake_{0}, progress_{0};  // change when there may be work, or something to see
   std::vector<std::thread> threads_;

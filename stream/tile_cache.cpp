@@ -10,7 +10,7 @@ TileCache::TileCache(uint64_t memory_bytes, size_t most_tiles) : memory_bytes_(m
   places_.reserve(most_tiles);
 }
 
-void TileCache::insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving) {
+void TileCache::insert(StripPtr strip, bool wanted, std::vector<std::shared_ptr<const void>>& leaving) {
   const uint64_t bytes = residentBytes(*strip);
   const auto isFull = [&] { return bytes_ + bytes > memory_bytes_ || free_.empty(); };
   if (places_.contains(strip->id) || (!wanted && isFull())) {

@@ -19,7 +19,7 @@ class TileCache {
   // Takes a strip, evicting unwanted ones if need be. An unwanted strip for which that would be needed is refused.
   // Wanted strips are always taken: whoever wants tiles keeps them within the budget.
   // leaving: evicted and refused strips are appended; needs room for most_tiles of them.
-  void insert(StripPtr strip, bool wanted, std::vector<StripPtr>& leaving);
+  void insert(StripPtr strip, bool wanted, std::vector<std::shared_ptr<const void>>& leaving);
   // Null if the tile is not here.
   const StripPtr& find(formats::TileId id) const {
     const auto at = places_.find(id);

@@ -17,7 +17,8 @@ class TileSource {
   virtual ~TileSource() = default;
   // Calls `done` exactly once, from any thread but never from inside read(), and not at all where read() throws std::bad_alloc.
   // options: of formats/storage.h; what waits behind other reads is answered when its turn comes.
-  virtual void read(formats::TileId id, const formats::ReadOptions& options, Done done) = 0;
+  // extent: of the tile's strip.
+  virtual void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) = 0;
   virtual const char* name() const = 0;  // "io_uring", "threads", "memory"
 };
 

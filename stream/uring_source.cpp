@@ -55,8 +55,8 @@ class UringSource final : public TileSource {
     return {};
   }
 
-  void read(formats::TileId id, const formats::ReadOptions& options, Done done) override {
-    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, options), std::move(done)});
+  void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) override {
+    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, extent, options), std::move(done)});
     const std::lock_guard lock(mutex_);
     waiting_.push_back(std::move(item));
     submitWaiting();
@@ -212,8 +212,10 @@ class UringSource final : public TileSource {
 }  // namespace
 
 Result<std::unique_ptr<TileSource>> makeUringSource(const formats::World& world) {
-  for (const formats::ShardInfo& shard : world.shards())
-    if (shard.descriptor < 0) return Error{ErrorCode::kIo, shard.name, "io_uring", "the world's storage has no descriptors", "read with threads"};
+  // Storage has descriptors for all of its files or for none.
+  auto descriptor = world.descriptor(0);
+  if (!descriptor) return descriptor.error();
+  if (*descriptor < 0) return Error{ErrorCode::kIo, world.shards()[0].name, "io_uring", "the world's storage has no descriptors", "read with threads"};
   auto source = std::make_unique<UringSource>(world);
   if (auto started = source->start(); !started) return started.error();
   return std::unique_ptr<TileSource>(std::move(source));

@@ -10,7 +10,10 @@ using formats::TileId;
 using formats::TileInfo;
 
 namespace {
-constexpr size_t kHeapAtFirst = 65536;  // tiles that are offered and not wanted; or those of the whole world
+constexpr size_t kHeapAtFirst = 65536;    // tiles that are offered and not wanted; or those of the whole world
+constexpr size_t kChunksAtFirst = 4096;   // that are here, before the table takes more memory
+constexpr size_t kMissingAtFirst = 1024;
+constexpr uint32_t kWalksKept = 600;      // a chunk that so many walks have not looked at is forgotten: 10 s at 60 frames a second
 }  // namespace
 
 uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
@@ -18,9 +21,9 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
   const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (formats::maxRowQuanta(world.info().quanta) / 255 + 1);
   // Lamps' light is among what is left of the payload once nodes and entries are taken off.
-  const formats::StripLayout least{info.nodes, 0, info.entries};
-  const uint64_t lamps = (info.raw_bytes - std::min<uint64_t>(info.raw_bytes, least.escapes())) / formats::StripLayout::kLampBytes;
-  return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * 4 + 16 * (uint64_t{info.nodes} + 1) +
+  const formats::StripLayout least{info.nodes, 0, 0, info.entries};
+  const uint64_t lamps = (info.strip.raw_bytes - std::min<uint64_t>(info.strip.raw_bytes, least.escapes())) / formats::StripLayout::kLampBytes;
+  return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * (sizeof(ResidentStrip::Partner) + sizeof(formats::ChunkPtr)) + 16 * (uint64_t{info.nodes} + 1) +
          info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }
 
@@ -38,52 +41,96 @@ WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& sett
   wanted_.reserve(most_wanted_);
   wanted_before_.reserve(most_wanted_);
   heap_.reserve(std::min(tiles, kHeapAtFirst));
+  chunks_.reserve(kChunksAtFirst);
+  missing_.reserve(kMissingAtFirst);
+  asked_.reserve(kMissingAtFirst);
 }
 
-std::span<const TileId> WantedTiles::walk(Vec3 observer) {
+void WantedTiles::add(formats::ChunkPtr chunk) {
+  const TileId id = chunk->tiles[0].id;
+  chunks_[id] = {std::move(chunk), walks_};
+}
+
+void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
+  for (auto at = chunks_.begin(); at != chunks_.end() && leaving.size() < leaving.capacity();) {
+    // The coarsest level's stay.
+    if (at->second.chunk->isTop() || walks_ - at->second.seen < kWalksKept) {
+      ++at;
+      continue;
+    }
+    leaving.push_back(std::move(at.value().chunk));
+    at = chunks_.erase(at);
+  }
+}
+
+std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer) {
+  ++walks_;
   wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();
+  missing_.clear();
+  if (!asked_.empty()) asked_.clear();
   bytes_ = 0;
   nodes_ = level0_nodes_ = 0;
   level0_closed_ = false;
-  for (const TileInfo& info : world_.tiles(static_cast<uint32_t>(world_.levels().size() - 1))) admit(info, observer);
+  const formats::Chunk& root = *world_.root();
+  for (uint32_t k = 0; k < root.children.size(); ++k)
+    if (const formats::Chunk* chunk = look(root, k))
+      for (const TileInfo& info : chunk->tiles) admit({info.id, chunk}, observer);
   while (!heap_.empty()) {
     std::pop_heap(heap_.begin(), heap_.end());
-    const TileId id = heap_.back().id;
+    const Tile tile = heap_.back().tile;
     heap_.pop_back();
-    if (id.level == 0 && level0_closed_) continue;
-    const TileInfo& info = world_.tiles(id.level)[id.tile];
+    if (tile.id.level == 0 && level0_closed_) continue;
+    const TileInfo& info = tile.info();
     if (nodes_ + info.nodes > settings_.max_nodes) break;
     if (bytes_ + residentBytesBound(world_, info) > settings_.memory_bytes) break;
-    if (id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
+    if (tile.id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
       level0_closed_ = true;
     else
-      admit(info, observer);
+      admit(tile, observer);
   }
-  std::sort(wanted_.begin(), wanted_.end());
+  std::sort(wanted_.begin(), wanted_.end(), [](const Tile& a, const Tile& b) { return a.id < b.id; });
+  std::reverse(missing_.begin(), missing_.end());  // they were found nearest first
   return wanted_;
 }
 
-void WantedTiles::admit(const TileInfo& info, Vec3 observer) {
-  wanted_.push_back(info.id);
+// Null: it is not here, and was put on the list.
+const formats::Chunk* WantedTiles::look(const formats::Chunk& parent, uint32_t child) {
+  const TileId id{parent.level - 1, parent.firstTileOf(child)};
+  if (const auto at = chunks_.find(id); at != chunks_.end()) {
+    at.value().seen = walks_;
+    return at->second.chunk.get();
+  }
+  if (asked_.insert(id).second) missing_.push_back({parent.shared_from_this(), child});
+  return nullptr;
+}
+
+void WantedTiles::admit(const Tile& tile, Vec3 observer) {
+  const TileInfo& info = tile.info();
+  wanted_.push_back(tile);
   bytes_ += residentBytesBound(world_, info);
   nodes_ += info.nodes;
   if (info.id.level == 0)
     level0_nodes_ += info.nodes;
   else
-    offerChildren(info, observer);
+    offerChildren(tile, observer);
 }
 
-void WantedTiles::offerChildren(const TileInfo& parent, Vec3 observer) {
+void WantedTiles::offerChildren(const Tile& parent, Vec3 observer) {
   const uint32_t level = parent.id.level - 1;
-  const auto [first, end] = world_.childTiles(parent.id);
-  for (uint32_t t = first; t < end; ++t) {
-    const bool stays = std::ranges::binary_search(wanted_before_, TileId{level, t});
-    const float reach = radius_m_[level] * (stays ? settings_.hysteresis : 1.0f);
-    const float key = world_.tiles(level)[t].bounds.distance(observer) / reach;
+  const TileInfo& info = parent.info();
+  const uint32_t child = parent.chunk->childWith(info.first_child);
+  const float wide = radius_m_[level] * settings_.hysteresis;
+  if (parent.chunk->children[child].bounds.distance(observer) >= wide) return;
+  const formats::Chunk* chunk = look(*parent.chunk, child);
+  if (!chunk) return;
+  for (uint32_t t = info.first_child; t < info.end_child; ++t) {
+    const Tile tile{{level, t}, chunk};
+    const bool stays = contains(wanted_before_, tile.id);
+    const float key = tile.info().bounds.distance(observer) / (stays ? wide : radius_m_[level]);
     if (!(key < 1)) continue;
-    heap_.push_back({key, {level, t}});
+    heap_.push_back({key, tile});
     std::push_heap(heap_.begin(), heap_.end());
   }
 }

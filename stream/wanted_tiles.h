@@ -1,5 +1,5 @@
 // Which tiles the observer wants: a best-first walk down the hierarchy that visits only what it admits and its
-// children.
+// children. It goes by the index of the chunks that are here, and says which others it would have looked at.
 #pragma once
 #include <algorithm>
 #include <cstdint>
@@ -7,6 +7,8 @@
 #include <vector>
 
 #include "stream/streamer.h"
+#include "stream/strip_loader.h"
+#include "stream/tile_map.h"
 
 namespace ff::stream {
 
@@ -20,35 +22,60 @@ uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo
 // 0.
 class WantedTiles {
  public:
+  struct Tile {
+    formats::TileId id;
+    const formats::Chunk* chunk = nullptr;  // here as long as the tile is wanted
+    const formats::TileInfo& info() const { return chunk->tiles[id.tile - chunk->firstTile()]; }
+    formats::TileRef ref() const { return {chunk->shared_from_this(), id.tile - chunk->firstTile()}; }
+  };
+
   WantedTiles(const formats::World& world, const StreamSettings& settings);
 
+  // A chunk's index has come: the next walk goes on there.
+  void add(formats::ChunkPtr chunk);
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
-  std::span<const formats::TileId> walk(Vec3 observer);
-  bool isWanted(formats::TileId id) const { return std::ranges::binary_search(wanted_, id); }
+  std::span<const Tile> walk(Vec3 observer);
+  std::span<const Tile> wanted() const { return wanted_; }
+  // Chunks beyond which the last walk could not look, the most urgent last. Valid until the next walk.
+  std::span<const ChunkRequest> missingChunks() const { return missing_; }
+  // Hands over chunks that no walk has looked at for long.
+  void forget(std::vector<std::shared_ptr<const void>>& leaving);
+  bool isWanted(formats::TileId id) const { return contains(wanted_, id); }
   // Tiles of a walk, at most.
   size_t mostWanted() const { return most_wanted_; }
   float radius(uint32_t level) const { return radius_m_[level]; }
+  size_t chunks() const { return chunks_.size(); }
 
  private:
   struct Candidate {
     float key = 0;  // distance over radius
-    formats::TileId id;
+    Tile tile;
     // For a heap whose front is next: nearest first, then the coarser level, then the lower tile.
     friend bool operator<(const Candidate& a, const Candidate& b) {
       if (a.key != b.key) return a.key > b.key;
-      if (a.id.level != b.id.level) return a.id.level < b.id.level;
-      return a.id.tile > b.id.tile;
+      if (a.tile.id.level != b.tile.id.level) return a.tile.id.level < b.tile.id.level;
+      return a.tile.id.tile > b.tile.id.tile;
     }
   };
-  void admit(const formats::TileInfo& info, Vec3 observer);
-  void offerChildren(const formats::TileInfo& parent, Vec3 observer);
+  struct Here {
+    formats::ChunkPtr chunk;
+    uint32_t seen = 0;  // number of the last walk that looked at it
+  };
+  static bool contains(std::span<const Tile> tiles, formats::TileId id) { return std::ranges::binary_search(tiles, id, {}, &Tile::id); }
+  const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
+  void admit(const Tile& tile, Vec3 observer);
+  void offerChildren(const Tile& parent, Vec3 observer);
 
   const formats::World& world_;
   const StreamSettings settings_;
   size_t most_wanted_ = 0;
   std::vector<float> radius_m_;  // per level
+  TileMap<Here> chunks_;         // by their first tile
+  uint32_t walks_ = 0;
   std::vector<Candidate> heap_;
-  std::vector<formats::TileId> wanted_, wanted_before_;  // by the last walk, by the one before; sorted
+  std::vector<Tile> wanted_, wanted_before_;  // by the last walk, by the one before; sorted
+  std::vector<ChunkRequest> missing_;
+  TileSet asked_;                             // of missing_
   uint64_t bytes_ = 0;
   uint32_t nodes_ = 0, level0_nodes_ = 0;
   bool level0_closed_ = false;

@@ -178,6 +178,7 @@ int main(int argc, char** argv) {
   app.add_option("--memory", settings.memory_bytes, "a bake that would need more is refused: 16G (default: what is free)")
       ->transform(CLI::AsSizeValue(true));
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
+  app.add_option("--write-vdb", settings.vdb_path, "also write the occupied chunks, and the patches in each cell, as OpenVDB grids")->type_name("FILE.vdb");
   app.add_flag("--quiet", quiet, "no progress");
   app.add_flag("--json", json, "print what was baked as JSON");
   app.set_version_flag("--version", "ffbake " FF_VERSION);

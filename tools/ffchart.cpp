@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "formats/version.h"
+#include "formats/whole_world.h"
 #include "tools/chart/answer.h"
 #include "tools/chart/eyes.h"
 #include "tools/chart/page/json_report.h"
@@ -71,7 +72,7 @@ std::string observersOf(const chart::Sweep& sweep) {
 
 chart::Report reportOf(const Options& o, chart::Sweep& sweep) {
   chart::Report r;
-  const formats::World& world = sweep.world->world();
+  const formats::WholeWorld& world = sweep.world->world();
   const formats::WorldInfo& info = world.info();
   r.title = "Speed against accuracy: " + info.scene;
   r.settings = sweep.settings;

@@ -168,14 +168,16 @@ class Builder {
     scene_.warnings.push_back(std::to_string(all) + (all == 1 ? " instance stands where another does and counts once: " : " instances stand where others do and count once: ") + named);
   }
 
-  // In world space, whatever the origin of the scene's coordinates.
   void addLights(const std::vector<Instance>& nodes) {
-    for (const Instance& at : nodes)
-      if (auto light = placed(document_.lights.of_node.at(static_cast<uint32_t>(at.node)), at.to_world,
-                              "node " + std::to_string(at.node), scene_.warnings)) {
+    for (const Instance& at : nodes) {
+      Matrix to_scene = at.to_world;
+      for (size_t a = 0; a < 3; ++a) to_scene[12 + a] -= scene_.origin[a];
+      auto light = placed(document_.lights.of_node.at(static_cast<uint32_t>(at.node)), to_scene, "node " + std::to_string(at.node), scene_.warnings);
+      if (light) {
         light->range_m *= static_cast<float>(limits_.scale);
         scene_.lights.push_back(std::move(*light));
       }
+    }
   }
 
   void addPrimitive(const tinygltf::Primitive& primitive, uint32_t mesh, const std::vector<Instance>& instances,

@@ -12,7 +12,9 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kChunk = 64;  // patches cast by one task
+constexpr size_t kMostTogether = 128;  // patches cast by one task
+constexpr int kTogetherLog = 2;        // the cube of cells that they lie in
+constexpr size_t kGrain = 64;          // rows renumbered by one task
 
 struct Scratch {
   std::vector<uint16_t> count;     // per patch, zero between rows
@@ -23,10 +25,22 @@ struct Scratch {
   SightMap sight;
 };
 
-struct Chunk {
+struct Part {
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
 };
+
+// Patches that are cast together, as neighbours guide each other's rays to the sky: those of a cube of cells, whatever lies elsewhere.
+// First ones, then the number of patches.
+std::vector<size_t> castTogether(const PatchSet& set) {
+  std::vector<size_t> start;
+  for (size_t i = 0; i < set.patches.size(); ++i)
+    if (i == 0 || i - start.back() == kMostTogether ||
+        hilbertAncestor(set.patches[i].key, kTogetherLog) != hilbertAncestor(set.patches[i - 1].key, kTogetherLog))
+      start.push_back(i);
+  start.push_back(set.patches.size());
+  return start;
+}
 
 }  // namespace
 
@@ -40,7 +54,9 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
                  std::atomic<uint64_t>& done) {
-  const size_t n = set.patches.size(), chunks = (n + kChunk - 1) / kChunk;
+  const size_t n = set.patches.size();
+  const std::vector<size_t> start = castTogether(set);
+  const size_t groups = start.size() - 1;
   const SobolTable sobol(rays);
   const LampTree lamps(set);
   HitRows rows;
@@ -53,14 +69,14 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.sky_means.assign(n, {});
   rows.lamps.assign(n, {});
   rows.narrow.assign(n, 0);
-  std::vector<Chunk> parts(chunks);
+  std::vector<Part> parts(groups);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
-    return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kChunk),
+    return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kMostTogether),
                    LampLight(scene, set, caster, lamps, rays, seed), {}};
   });
-  tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
+  tbb::parallel_for(size_t{0}, groups, [&](size_t c) {
     Scratch& s = scratch.local();
-    const size_t first = c * kChunk, end = std::min(n, first + kChunk);
+    const size_t first = start[c], end = start[c + 1];
     for (size_t i = first; i < end; ++i) {
       surfacePoints(scene, set, static_cast<uint32_t>(i), sobol, seed, caster, s.points);
       if (!lamps.empty()) s.lamps.aim(static_cast<uint32_t>(i));
@@ -116,8 +132,8 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   for (size_t i = 0; i < n; ++i) rows.start[i + 1] += rows.start[i];
   rows.column.resize(rows.start[n]);
   rows.count.resize(rows.start[n]);
-  tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
-    const auto at = static_cast<ptrdiff_t>(rows.start[c * kChunk]);
+  tbb::parallel_for(size_t{0}, groups, [&](size_t c) {
+    const auto at = static_cast<ptrdiff_t>(rows.start[start[c]]);
     std::copy(parts[c].column.begin(), parts[c].column.end(), rows.column.begin() + at);
     std::copy(parts[c].count.begin(), parts[c].count.end(), rows.count.begin() + at);
     parts[c] = {};
@@ -141,7 +157,7 @@ HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
   for (size_t i = 0; i < n; ++i) out.start[i + 1] = out.start[i] + in.start[old[i] + 1] - in.start[old[i]];
   out.column.resize(in.column.size());
   out.count.resize(in.count.size());
-  tbb::parallel_for(tbb::blocked_range<size_t>(0, n, kChunk), [&](const tbb::blocked_range<size_t>& range) {
+  tbb::parallel_for(tbb::blocked_range<size_t>(0, n, kGrain), [&](const tbb::blocked_range<size_t>& range) {
     std::vector<std::pair<uint32_t, uint16_t>> row;
     for (size_t i = range.begin(); i < range.end(); ++i) {
       const uint32_t p = old[i];

@@ -1,7 +1,7 @@
 // Form factors by ray casting: row i of the hit matrix counts where `rays` cosine-distributed rays from patch i end.
 //   F_ij = 1/A_i int_Ai int_Aj cos(i) cos(j) / (pi r^2) V dAj dAi  is estimated by  h_ij / rays.
 // Michael F. Cohen, John R. Wallace. Radiosity and Realistic Image Synthesis. 1993, chapter 4.
-// A patch's rays depend on its number and the seed alone.
+// A patch's rays depend on its name and the seed alone.
 //
 // Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
 // all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).

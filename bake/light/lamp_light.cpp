@@ -144,7 +144,7 @@ void LampLight::hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& 
 std::vector<LampIrradiance> LampLight::finish() {
   points_.resize(count_);
   if (count_ > 0) surfacePoints(scene_, set_, patch_, sobol_, seed_ ^ kCastSeed, caster_, points_);
-  const double offset = unitOf(mix64(seed_ ^ kCastSeed) + patch_);
+  const double offset = unitOf(mix64(seed_ ^ kCastSeed) + set_.patches[patch_].name);
   for (uint32_t k = 0; k < count_; ++k) {
     const Sample s = sample(points_[k], (k + offset) / count_);
     if (!(s.arriving > 0) || !sees(points_[k], s.to)) continue;

@@ -177,7 +177,7 @@ std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCas
     }
     points.resize(guided);
     surfacePoints(scene, set, first + i, sobol, seed ^ kSeed, caster, points);
-    const double offset = unitOf(mix64(seed ^ kSeed) + first + i);
+    const double offset = unitOf(mix64(seed ^ kSeed) + patch.name);
     for (uint32_t k = 0; k < guided; ++k) {
       const Vec3 direction = guide.direction((k + offset) / guided, points[k].u, points[k].v);
       const float cosine = dot(direction, points[k].normal);

@@ -14,7 +14,7 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
   const Patch& p = set.patches[patch];
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
-  const auto seeds = SobolTable::seeds(seed, patch);
+  const auto seeds = SobolTable::seeds(seed, p.name);
   std::vector<Vec3> normals;
   normals.reserve(triangles.size());
   for (const PatchTriangle& t : triangles) normals.push_back(normalized(cross(t.b - t.a, t.c - t.a)));

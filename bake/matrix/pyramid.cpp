@@ -16,7 +16,7 @@ constexpr size_t kChunk = 64;  // cluster rows gathered by one task
 
 struct SortKey {
   uint64_t top;     // cell of the coarsest level
-  uint32_t group;   // lamp group, orientation and openness
+  uint32_t group;   // lamp group, orientation, openness, whether lamps light it
   uint64_t key;     // cell of the patch
   uint32_t patch;
   friend bool operator<(const SortKey& a, const SortKey& b) {
@@ -116,13 +116,14 @@ uint32_t openness(double sky_fraction, uint32_t narrow) {
 }
 
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
-                        std::span<const uint8_t> narrow) {
+                        std::span<const uint8_t> narrow, std::span<const uint8_t> lamp_lit) {
   const auto n = static_cast<uint32_t>(patches.size());
   std::vector<uint32_t> group(n);
   for (uint32_t i = 0; i < n; ++i) {
     const uint32_t open = openness(static_cast<double>(sky_fraction[i]), narrow.empty() ? 0 : narrow[i]);
     const uint32_t lamp = patches[i].emits() ? 1u + patches[i].lamp_group : 0u;
-    group[i] = (lamp * kOrientations + patches[i].orientation) * kOpennesses + open;
+    const uint32_t lit = lamp_lit.empty() ? 0u : lamp_lit[i];
+    group[i] = ((lamp * kOrientations + patches[i].orientation) * kOpennesses + open) * 2 + lit;
   }
   int top = 0;
   size_t count = n;
@@ -164,6 +165,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   Hierarchy h;
   h.nodes.resize(levels.size());
   h.tile_start.resize(levels.size());
+  h.names.resize(levels.size());
   h.parents.resize(levels.size() - 1);
   h.tile_parents.resize(levels.size() - 1);
   std::vector<uint32_t> above, now;  // of each node in the final order: its number in the order of clustering
@@ -196,6 +198,12 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
       std::vector<uint32_t> number(above.size());  // of each node above, in the final order
       for (uint32_t k = 0; k < above.size(); ++k) number[above[k]] = k;
       for (const uint32_t k : now) h.parents[l].push_back(number[own.parent[k]]);
+    }
+    for (uint32_t t = 0; t + 1 < h.tile_start[l].size(); ++t) {
+      formats::TileName name;
+      for (size_t a = 0; a < 3; ++a) name.chunk[a] = patches[order[own.first[now[h.tile_start[l][t]]]].patch].cell[a] >> (level + formats::kChunkLog);
+      if (t > 0 && h.names[l].back().chunk == name.chunk) name.tile = h.names[l].back().tile + 1;
+      h.names[l].push_back(name);
     }
     above.swap(now);
   }

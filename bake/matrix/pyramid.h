@@ -1,7 +1,8 @@
 // The matrix pyramid. A node of level l + 1 gathers the nodes of level l that lie in the same 2x2x2 cells and have the same
 // orientation and openness class (interiors, exteriors and crevices must not mix, or the light of a wall seeps into the
 // dark behind it), and the same lamp group or none (a lamp is seen where its
-// shade is not, and is switched alone); areas add, exchange areas add.
+// shade is not, and is switched alone), and of what lamps light directly or do not (or the dark underside of an eave shines by night with the
+// light of the wall above: of level 2's clusters of a castle at night half were off by 84 %, now by 23 %); areas add, exchange areas add.
 //
 // Tiles form a tree: the children of a tile's nodes fill tiles of their own. They are compact: a cube of cells is one tile, with all classes
 // in it, if it is at most 2^kTileEdgeLog cells of its level wide and has at most kTileNodes nodes; else it is cut into its eight, of
@@ -22,6 +23,7 @@ namespace ff::bake {
 inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at most this many nodes
 inline constexpr uint32_t kMaxSiblings = 64;
 inline constexpr int kTileEdgeLog = 4;          // 8 cells instead of 16: 3 % more bytes, 1.7 times the tiles, no better a cut (town of 120k)
+static_assert(kTileEdgeLog + 1 <= formats::kChunkLog, "what lies beneath a tile lies in one chunk");
 
 // Openness class of a patch: 0 interior, 1 half open, 2 open, by the fraction of its rays that reach the sky; 3 and 4 an
 // interior that is narrow (an alley, the space inside a thick wall) or very much so (a crevice): HitRows::narrow.
@@ -38,12 +40,14 @@ struct Hierarchy {
   std::vector<std::vector<uint32_t>> tile_start;
   // tile_parents[l][t]: the tile of level l + 1 that holds the parents of all of tile t's nodes; non-decreasing.
   std::vector<std::vector<uint32_t>> tile_parents;
+  // names[l][t]: of tile t. The tiles of a chunk follow each other, and child tiles of one tile lie in one chunk.
+  std::vector<std::vector<formats::TileName>> names;
   uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
 };
 
-// sky_fraction, narrow: per patch; the latter may be empty.
+// sky_fraction, narrow, lamp_lit (1: some lamp's light arrives directly): per patch; the latter two may be empty.
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
-                        std::span<const uint8_t> narrow = {});
+                        std::span<const uint8_t> narrow = {}, std::span<const uint8_t> lamp_lit = {});
 
 // What a node carries beside its row, for all nodes of a level.
 struct NodeValues {

@@ -1,4 +1,4 @@
-// Four-dimensional Owen-scrambled Sobol points, seeded by an integer: a patch's rays depend on its number alone.
+// Four-dimensional Owen-scrambled Sobol points, seeded by an integer: a patch's rays depend on its name alone.
 // Stephen Joe, Frances Kuo. Constructing Sobol sequences with better two-dimensional projections. 2008 (directions).
 // Brent Burley. Practical hash-based Owen scrambling. Journal of Computer Graphics Techniques 9(4), 2020 (scrambling).
 #pragma once

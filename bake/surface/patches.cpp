@@ -10,6 +10,7 @@
 #include <optional>
 #include <span>
 
+#include "bake/rays/sobol.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/components.h"
 #include "bake/surface/fineness.h"
@@ -120,6 +121,7 @@ class PatchBuilder {
       const Side& side = sides_[labels_.home[p]];
       set_.patches[p].cell = baseCell(pieces_[side.piece].cell, side.fineness);
       set_.patches[p].key = side.key;
+      set_.patches[p].name = p > 0 && set_.patches[p - 1].key == side.key ? set_.patches[p - 1].name + 1 : mix64(side.key + 1);
       set_.patches[p].fineness = side.fineness;
       set_.patches[p].orientation = side.orientation;
       set_.patches[p].lamp_group = side.lamp_group;

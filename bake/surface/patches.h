@@ -24,6 +24,8 @@ inline constexpr uint32_t kOrientations = 6;  // dominant axis of the normal and
 struct Patch {
   Cell cell{};              // of the base grid
   uint64_t key = 0;         // hilbertKey(cell)
+  uint64_t name = 0;        // of the cell and of its number there: what a patch's random numbers are made of, so that they are the same
+                            // whatever stands elsewhere
   int fineness = 0;         // of its own grid
   uint32_t orientation = 0;
   uint16_t lamp_group = formats::kNoLampGroup;  // of its material, if that emits: emitters of two groups, or one and

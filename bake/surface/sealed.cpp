@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <vector>
 
@@ -55,8 +56,8 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
   }
   if (!(area > 0)) return false;
   const Piece& first = *surface[0].piece;
-  uint64_t id = first.triangle * 2ull + surface[0].back;
-  for (const int32_t x : first.cell) id = mix64(id) + static_cast<uint32_t>(x);
+  uint64_t id = surface[0].back;  // by where it lies
+  for (const double x : {first.polygon[0].x, first.polygon[0].y, first.polygon[0].z}) id = mix64(id) + std::bit_cast<uint64_t>(x);
   const auto seeds = SobolTable::seeds(0, id);
   uint32_t origins = 0, hidden = 0, near = 0;
   std::array<Ray, kMostProbes> rays;  // those that end near

@@ -150,8 +150,7 @@ FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<format
       streamer(std::move(strips)),
       choice(chosen),
       solver(std::move(made)),
-      updater(*world, *streamer, current),
-      slots(*world) {
+      updater(*world, *streamer, current) {
   updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   if (settings.probes > 0) {
     ProbeSettings probe_settings;
@@ -206,8 +205,11 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
   const LocalMatrix& matrix = updater.matrix();
   slots.follow(matrix.tiles);
   tiles.clear();
-  for (const SlotRange& range : matrix.tiles)
-    tiles.push_back({range.id.level, range.id.tile, range.first_slot, range.first_node, range.nodes});
+  for (size_t t = 0; t < matrix.tiles.size(); ++t) {
+    const SlotRange& range = matrix.tiles[t];
+    const formats::TileName name = matrix.packed[t].strip->tile.name();
+    tiles.push_back({range.id.level, range.id.tile, {name.chunk[0], name.chunk[1], name.chunk[2]}, name.tile, range.first_slot, range.first_node, range.nodes});
+  }
 }
 
 Result<void> FormfieldWorld_T::readRadiosity() {
@@ -365,6 +367,7 @@ FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* 
     report.levels = static_cast<uint32_t>(w.world->levels().size());
     report.cell_m = i.cell_m;
     for (int a = 0; a < 3; ++a) {
+      report.origin[a] = i.origin[static_cast<size_t>(a)];
       report.lo[a] = i.bounds.lo[a];
       report.hi[a] = i.bounds.hi[a];
     }
@@ -450,10 +453,10 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
   });
 }
 
-FormfieldResult formfieldFrame(FormfieldWorld world, const float observer[3], const float velocity[3]) {
+FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!observer) return usageError("observer", "is NULL");
-    return w.frame(vectorOf(observer), velocity ? vectorOf(velocity) : Vec3{});
+    return w.frame(w.fromOrigin(observer), velocity ? vectorOf(velocity) : Vec3{});
   });
 }
 
@@ -485,11 +488,12 @@ FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32
     const uint32_t patches = w.world->levels()[0].nodes;
     if (first > patches || count > patches - first) return usageError("patches", "reach past the world's last one");
     if (count > 0 && !slots) return usageError("slots", "is NULL");
-    uint32_t tile = count > 0 ? w.world->tileOf(0, first) : 0;
-    for (uint32_t i = 0; i < count; ++i) {
-      const formats::TileInfo* info = &w.world->tiles(0)[tile];
-      if (first + i >= info->first_node + info->nodes) ++tile;
-      slots[i] = w.slots.slotOf({0, tile}, first + i);
+    for (uint32_t i = 0; i < count;) {
+      const auto tile = w.world->tileOfNode(0, first + i);
+      if (!tile) return tile.error();
+      w.listed.insert(tile->chunk);
+      for (const uint32_t end = tile->info().first_node + tile->info().nodes; i < count && first + i < end; ++i)
+        slots[i] = w.slots.slotOf(*tile, first + i - tile->info().first_node);
     }
     return {};
   });

@@ -109,7 +109,8 @@ typedef struct FormfieldWorldInfo {
   uint32_t patches;    /* level-0 nodes; patch numbers are below */
   uint32_t levels;
   float cell_m;        /* edge of the grid that patches were cut by */
-  float lo[3], hi[3];  /* bounds */
+  double origin[3];    /* m, in the scene's world space: where all positions in floats count from; zero but for scenes that stand far away */
+  float lo[3], hi[3];  /* bounds, from the origin */
   uint32_t has_geometry; /* 1: drawing triangles were baked in; probes need them */
   uint32_t lamp_groups;  /* see formfieldLampGroups */
 } FormfieldWorldInfo;
@@ -177,8 +178,9 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
 
 /* One frame: takes what has been loaded, asks for what is missing (`velocity`, m/s, says what will be needed), brings the
  * cut and its matrix up to date, and iterates. On a Vulkan device it submits and waits; formfieldRecord
- * (formfield_vulkan.h) does the same into the caller's command buffer. */
-FormfieldResult formfieldFrame(FormfieldWorld world, const float observer[3], const float velocity[3]);
+ * (formfield_vulkan.h) does the same into the caller's command buffer. observer: m, in the scene's own world space, however far from its
+ * zero that is; all positions that are floats count from FormfieldWorldInfo::origin. */
+FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]);
 
 /* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
  * next frame. */
@@ -200,7 +202,9 @@ FormfieldResult formfieldSettle(FormfieldWorld world, float tolerance, uint32_t 
 /* ---- Which slot is what ---- */
 
 typedef struct FormfieldTile {
-  uint32_t level, tile; /* number within the level */
+  uint32_t level, tile; /* number within the level, of this bake */
+  int32_t chunk[3];     /* the tile's name: its chunk, a cube of 32 cells of its level, and its number within that; the same */
+  uint32_t chunk_tile;  /* from bake to bake where nothing in the chunk changed */
   uint32_t first_slot;  /* slots of a tile are consecutive, in the order of its nodes */
   uint32_t first_node;  /* number within the level */
   uint32_t nodes;
@@ -210,7 +214,7 @@ typedef struct FormfieldTile {
  * value whenever the tiles or their slots do. */
 const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint64_t* change);
 /* Slot that lights a patch: its own, or that of the cluster that stands for it. Writes FORMFIELD_NO_SLOT before the first
- * frame. Patches first .. first + count - 1. */
+ * frame. Patches first .. first + count - 1. May read the index of places where the observer was not yet, and keeps it. */
 FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots);
 /* Level and node of a slot. FORMFIELD_ERROR_USAGE for a slot of no tile. */
 FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node);

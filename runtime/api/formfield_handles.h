@@ -5,6 +5,7 @@
 #include <memory>
 #include <new>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -55,6 +56,11 @@ struct FormfieldWorld_T {
   FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
 
   // The frame but for reading its light back.
+  // Of a place in the scene's world space.
+  ff::Vec3 fromOrigin(const double at[3]) const {
+    const auto& origin = world->info().origin;
+    return {static_cast<float>(at[0] - origin[0]), static_cast<float>(at[1] - origin[1]), static_cast<float>(at[2] - origin[2])};
+  }
   ff::Result<void> step(ff::Vec3 observer, ff::Vec3 velocity);
   ff::Result<void> frame(ff::Vec3 observer, ff::Vec3 velocity);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
@@ -93,6 +99,7 @@ struct FormfieldWorld_T {
   bool recording = false;  // iterate() records
   ff::runtime::Updater updater;
   ff::runtime::SlotMap slots;
+  std::set<ff::formats::ChunkPtr> listed;  // that hold patches whose slots were asked for by number: they will be again
   std::optional<ff::runtime::Probes> probes;
   ff::runtime::ResidualProbe residual_probe;
   ff::runtime::Sky sky;

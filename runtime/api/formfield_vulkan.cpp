@@ -204,7 +204,7 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last) 
   return count;
 }
 
-FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
+FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const double observer[3],
                                 const float velocity[3]) {
   if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
   const auto unsupported = [&] {
@@ -221,7 +221,7 @@ FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, 
   if (!recording) return unsupported();
   const FormfieldResult result = guarded(world->device.error, [&]() -> Result<void> {
     if (!commands || !observer) return usageError("commands or observer", "is NULL");
-    return recording->frame(*world, commands, {observer[0], observer[1], observer[2]},
+    return recording->frame(*world, commands, world->fromOrigin(observer),
                             velocity ? Vec3{velocity[0], velocity[1], velocity[2]} : Vec3{});
   });
   return result == FORMFIELD_OK && world->solver.fellBack() ? unsupported() : result;

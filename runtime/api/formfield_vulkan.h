@@ -44,7 +44,7 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
  * same, as quickly as by gather. Its FormfieldStats lag by frames_in_flight frames. The matrix is watched by its residual
  * and, where the cut stands for frames_in_flight frames, by random vectors: it is built anew where they find it wrong.
  * FORMFIELD_ERROR_UNSUPPORTED: seed, which is a baseline, or the CPU has taken over; formfieldFrame works. */
-FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const float observer[3],
+FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const double observer[3],
                                 const float velocity[3]);
 /* Radiosity by slot, reflected and emitted, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage
  * buffer, always the same.

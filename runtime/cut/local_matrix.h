@@ -32,8 +32,8 @@ struct SlotRange {
 
 // Slot of a node, kNoSlot if its tile is not among `tiles` (sorted). O(log tiles).
 uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node);
-// The slot that stands for a node: its own, else its nearest ancestor's; kNoSlot where no tile of these is among `tiles`.
-uint32_t slotFor(const formats::World& world, std::span<const SlotRange> tiles, uint32_t level, uint32_t node);
+// The slot that stands for node number `index` of a tile: its own, else its nearest ancestor's; kNoSlot where no tile of these is among `tiles`.
+uint32_t slotFor(std::span<const SlotRange> tiles, const formats::TileRef& tile, uint32_t index);
 
 class PageTable;
 

@@ -108,14 +108,14 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
     slots += strip->nodes.size();
     tops += strip->id.level == top;
     if (!pyramid || strip->id.level == top) continue;
-    cut = cut && std::ranges::binary_search(active, formats::TileId{strip->id.level + 1, world_.parentTile(strip->id)}, {},
+    cut = cut && std::ranges::binary_search(active, formats::TileId{strip->id.level + 1, strip->tile.info().parent_tile}, {},
                                             [](const StripPtr& s) { return s->id; });
   }
   if (slots > kMaxSlots)
     return Error{ErrorCode::kUsage, world_.path(), "",
                  std::to_string(slots) + " nodes in the cut, at most " + std::to_string(kMaxSlots) + " have a slot",
                  "lower the radius or max_nodes"};
-  if (pyramid && (!cut || tops != world_.tiles(top).size()))
+  if (pyramid && (!cut || tops != world_.levels()[top].tiles))
     return Error{ErrorCode::kUsage, world_.path(), "",
                  "the active tiles are not a cut: some node has no active ancestor",
                  "pass all tiles of the top level and the ancestors of every active tile"};
@@ -272,7 +272,7 @@ bool MatrixAssembler::place(Tile& tile) {
   }
   pages_.setActive(tile.range.id, tile.range.first_slot);
   const std::span<uint32_t> pages = partnerPages(tile);
-  for (size_t p = 0; p < pages.size(); ++p) pages[p] = pages_.hold({tile.range.id.level, strip.partners[p]});
+  for (size_t p = 0; p < pages.size(); ++p) pages[p] = pages_.hold(*strip.chunks[strip.partners[p].chunk], strip.partners[p].tile);
   return true;
 }
 
@@ -317,9 +317,10 @@ void MatrixAssembler::renumber() {
 void MatrixAssembler::link(const Tile& tile) {
   if (far_light_ == FarLight::kConstant || tile.range.id.level + 1 == world_.levels().size()) return;
   const uint32_t level = tile.range.id.level;
-  const uint32_t first_parent = pages_.activeSlot({level + 1, world_.parentTile(tile.range.id)});
+  const uint32_t first_parent = pages_.activeSlot({level + 1, tile.strip->tile.info().parent_tile});
+  const std::span<const uint8_t> parent = tile.strip->tile.parentIndex();
   for (uint32_t i = 0; i < tile.range.nodes; ++i) {
-    const uint32_t slot = first_parent + world_.placeOfParent(level, tile.range.first_node + i);
+    const uint32_t slot = first_parent + parent[i];
     matrix_.leaf[slot] = 0;
     matrix_.row_entries[slot] = 0;
     matrix_.parent_slot[tile.range.first_slot + i] = slot;
@@ -462,10 +463,13 @@ uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node)
   return range.first_slot + (node - range.first_node);
 }
 
-uint32_t slotFor(const formats::World& world, std::span<const SlotRange> tiles, uint32_t level, uint32_t node) {
-  for (; node != formats::kNoParent; node = world.parent(level++, node))
-    if (const uint32_t slot = slotOf(tiles, level, node); slot != kNoSlot) return slot;
-  return kNoSlot;
+uint32_t slotFor(std::span<const SlotRange> tiles, const formats::TileRef& tile, uint32_t index) {
+  for (formats::TileRef at = tile;;) {
+    if (const uint32_t slot = slotOf(tiles, at.id().level, at.info().first_node + index); slot != kNoSlot) return slot;
+    if (at.chunk->isTop()) return kNoSlot;
+    index = at.parentIndex()[index];
+    at = at.parent();
+  }
 }
 
 }  // namespace ff::runtime

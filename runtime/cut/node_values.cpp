@@ -1,8 +1,10 @@
 #include "runtime/cut/node_values.h"
 
+#include "formats/whole_world.h"
+
 namespace ff::runtime {
 
-Result<std::vector<float>> patchAreas(const formats::World& world) {
+Result<std::vector<float>> patchAreas(const formats::WholeWorld& world) {
   std::vector<float> areas;
   areas.reserve(world.levels()[0].nodes);
   for (const formats::TileInfo& info : world.tiles(0)) {
@@ -13,7 +15,7 @@ Result<std::vector<float>> patchAreas(const formats::World& world) {
   return areas;
 }
 
-NodeValues aggregateUp(const formats::World& world, std::span<const float> patch_areas_m2,
+NodeValues aggregateUp(const formats::WholeWorld& world, std::span<const float> patch_areas_m2,
                        std::span<const Vec3> per_patch) {
   FF_CHECK_EQ(patch_areas_m2.size(), size_t{world.levels()[0].nodes});
   FF_CHECK_EQ(per_patch.size(), patch_areas_m2.size());

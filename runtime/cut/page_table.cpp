@@ -1,7 +1,7 @@
 #include "runtime/cut/page_table.h"
 
 #include <algorithm>
-#include <tuple>
+#include <bit>
 
 namespace ff::runtime {
 namespace {
@@ -10,7 +10,7 @@ constexpr size_t kPagesAtFirst = 8192;  // 4 MiB; or those of the whole world
 
 }  // namespace
 
-PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(world), outside_(outside) {
+PageTable::PageTable(const formats::World& world, uint32_t outside) : outside_(outside) {
   size_t pages = 0;
   for (const formats::LevelInfo& level : world.levels()) pages += level.tiles;
   pages = std::min(pages, kPagesAtFirst);
@@ -20,10 +20,11 @@ PageTable::PageTable(const formats::World& world, uint32_t outside) : world_(wor
   infos_.reserve(pages);
   free_.reserve(pages);
   changed_.reserve(pages);
-  toggled_.reserve(kPagesAtFirst);
+  toggled_.reserve(pages);
 }
 
-uint32_t PageTable::hold(formats::TileId id) {
+uint32_t PageTable::hold(const formats::Chunk& chunk, uint32_t tile) {
+  const formats::TileId id{chunk.level, tile};
   const auto [at, is_new] = page_of_.insert({id, 0});
   uint32_t& number = at.value();
   if (is_new) {
@@ -34,7 +35,7 @@ uint32_t PageTable::hold(formats::TileId id) {
     }
     number = free_.back();
     free_.pop_back();
-    infos_[number] = {id, 0, infos_[number].refreshed, true};
+    infos_[number] = {id, &chunk, 0, infos_[number].refreshed, true};
   }
   ++infos_[number].holds;
   return number;
@@ -53,14 +54,19 @@ void PageTable::setActive(formats::TileId id, uint32_t first_slot) {
     slot_of_.erase(id);
   else
     slot_of_[id] = first_slot;
-  Toggled toggled{id.level, {}};
-  uint32_t first = id.tile, end = id.tile + 1;
-  for (uint32_t level = id.level;; --level) {
-    toggled.tiles[level] = {first, end};
-    if (level == 0) break;
-    std::tie(first, end) = world_.childTiles(level, first, end);
+  toggled_.insert(id);
+  toggled_levels_ |= 1u << id.level;
+}
+
+// Whether a tile or one of its ancestors is among toggled_.
+bool PageTable::isBeneathToggled(const Info& info) const {
+  const auto end = static_cast<uint32_t>(std::bit_width(toggled_levels_));
+  formats::TileId at = info.id;
+  for (const formats::Chunk* chunk = info.chunk;; chunk = chunk->parent.get()) {
+    if ((toggled_levels_ >> at.level & 1) != 0 && toggled_.contains(at)) return true;
+    if (at.level + 1 >= end || chunk->isTop()) return false;
+    at = {at.level + 1, chunk->tiles[at.tile - chunk->firstTile()].parent_tile};
   }
-  toggled_.push_back(toggled);
 }
 
 std::span<const uint32_t> PageTable::refresh() {
@@ -70,25 +76,21 @@ std::span<const uint32_t> PageTable::refresh() {
   for (uint32_t p = 0; p < pages_.size(); ++p) {
     Info& info = infos_[p];
     if (info.holds == 0) continue;
-    for (const Toggled& t : toggled_) {
-      if (info.stale) break;
-      const auto [first, end] = t.tiles[info.id.level];
-      info.stale = info.id.level <= t.level && first <= info.id.tile && info.id.tile < end;
-    }
-    if (!info.stale) continue;
-    fill(info.id, pages_[p]);
+    if (!info.stale && (toggled_levels_ >> info.id.level == 0 || !isBeneathToggled(info))) continue;
+    fill(info, pages_[p]);
     info.stale = false;
     info.refreshed = round_;
     changed_.push_back(p);
   }
-  toggled_.clear();
+  if (!toggled_.empty()) toggled_.clear();
+  toggled_levels_ = 0;
   return changed_;
 }
 
-void PageTable::fill(formats::TileId id, Page& page) {
-  const formats::TileInfo& info = world_.tiles(id.level)[id.tile];
-  if (const uint32_t first = activeSlot(id); first != kNoSlot) {
-    for (uint32_t i = 0; i < info.nodes; ++i) page[i] = static_cast<uint16_t>(first + i);
+void PageTable::fill(const Info& info, Page& page) {
+  const uint32_t own = info.id.tile - info.chunk->firstTile(), nodes = info.chunk->tiles[own].nodes;
+  if (const uint32_t first = activeSlot(info.id); first != kNoSlot) {
+    for (uint32_t i = 0; i < nodes; ++i) page[i] = static_cast<uint16_t>(first + i);
     return;
   }
   if (outside_ != kNoSlot) {
@@ -96,22 +98,24 @@ void PageTable::fill(formats::TileId id, Page& page) {
     return;
   }
   // The ancestors of all of the tile's nodes lie in one tile a level: the lowest active one has their slots.
-  std::array<formats::TileId, formats::kMaxLevels> up;
-  uint32_t steps = 0, slots = kNoSlot;
-  for (formats::TileId at = id; slots == kNoSlot && at.level + 1 < world_.levels().size(); slots = activeSlot(at))
-    up[steps++] = at = {at.level + 1, world_.parentTile(at)};
+  std::array<std::span<const uint8_t>, formats::kMaxLevels> up;  // from a tile's nodes to its parent tile's
+  uint32_t steps = 0, slots = kNoSlot, tile = own;
+  for (const formats::Chunk* chunk = info.chunk; slots == kNoSlot && !chunk->isTop();) {
+    up[steps++] = chunk->parentIndexOf(tile);
+    const uint32_t parent = chunk->tiles[tile].parent_tile;
+    chunk = chunk->parent.get();
+    tile = parent - chunk->firstTile();
+    slots = activeSlot({chunk->level, parent});
+  }
   if (slots == kNoSlot) {
     incomplete_ = true;
     page.fill(0);
     return;
   }
-  for (uint32_t i = 0; i < info.nodes; ++i) {
-    uint32_t level = id.level, node = info.first_node + i, place = 0;
-    for (uint32_t step = 0; step < steps; ++step, ++level) {
-      place = world_.placeOfParent(level, node);
-      node = world_.tiles(level + 1)[up[step].tile].first_node + place;
-    }
-    page[i] = static_cast<uint16_t>(slots + place);
+  for (uint32_t i = 0; i < nodes; ++i) {
+    uint32_t index = i;
+    for (uint32_t step = 0; step < steps; ++step) index = up[step][index];
+    page[i] = static_cast<uint16_t>(slots + index);
   }
 }
 

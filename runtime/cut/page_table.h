@@ -20,8 +20,9 @@ class PageTable {
   // outside: the slot of everything in inactive tiles; kNoSlot: the nearest active ancestor.
   explicit PageTable(const formats::World& world, uint32_t outside = kNoSlot);
 
-  // The number of a tile's page, for as long as it is held; each hold is given back by release().
-  uint32_t hold(formats::TileId id);
+  // The number of a tile's page, for as long as it is held; each hold is given back by release(). Who holds it keeps the tile's chunk.
+  // tile: number within its level.
+  uint32_t hold(const formats::Chunk& chunk, uint32_t tile);
   void release(uint32_t page);
   // The tile's nodes have slots first_slot, first_slot + 1, ... from now on; kNoSlot: none.
   void setActive(formats::TileId id, uint32_t first_slot);
@@ -44,17 +45,14 @@ class PageTable {
  private:
   struct Info {
     formats::TileId id;
+    const formats::Chunk* chunk = nullptr;
     uint32_t holds = 0;
     uint32_t refreshed = 0;  // round
     bool stale = false;
   };
-  struct Toggled {  // tiles, by level, whose slots a tile's toggling may have changed: its descendants
-    uint32_t level;
-    std::array<std::pair<uint32_t, uint32_t>, formats::kMaxLevels> tiles;  // first, last + 1
-  };
-  void fill(formats::TileId id, Page& page);
+  bool isBeneathToggled(const Info& info) const;
+  void fill(const Info& info, Page& page);
 
-  const formats::World& world_;
   uint32_t outside_ = kNoSlot;
   bool incomplete_ = false;
   uint32_t round_ = 0;
@@ -63,7 +61,8 @@ class PageTable {
   std::vector<Page> pages_;
   std::vector<Info> infos_;
   std::vector<uint32_t> free_, changed_;
-  std::vector<Toggled> toggled_;
+  stream::TileSet toggled_;     // tiles whose slots setActive() changed
+  uint32_t toggled_levels_ = 0;  // theirs, a bit each
 };
 
 }  // namespace ff::runtime

@@ -13,8 +13,7 @@ namespace ff::runtime {
 // One thread. No call allocates after construction.
 class SlotMap {
  public:
-  explicit SlotMap(const formats::World& world)
-      : world_(world), tile_of_slot_(kMaxSlots, kNone) {
+  SlotMap() : tile_of_slot_(kMaxSlots, kNone) {
     tiles_.reserve(kMaxSlots);
     first_slot_.reserve(kMaxSlots);
   }
@@ -36,19 +35,21 @@ class SlotMap {
   const SlotRange* tileOf(uint32_t slot) const {
     return slot < kMaxSlots && tile_of_slot_[slot] != kNone ? &tiles_[tile_of_slot_[slot]] : nullptr;
   }
-  // Slot of a node of tile `id`: its own, else its nearest active ancestor's; kNoSlot: it has none.
-  uint32_t slotOf(formats::TileId id, uint32_t node) const {
-    for (;;) {
-      if (const auto at = first_slot_.find(id); at != first_slot_.end()) return at->second + node - world_.tiles(id.level)[id.tile].first_node;
-      if (id.level + 1 == world_.levels().size()) return kNoSlot;
-      node = world_.parent(id.level, node);
-      id = {id.level + 1, world_.parentTile(id)};
+  // Slot of node number `index` of a tile: its own, else its nearest active ancestor's; kNoSlot: it has none.
+  uint32_t slotOf(const formats::TileRef& tile, uint32_t index) const {
+    uint32_t at_tile = tile.index;
+    for (const formats::Chunk* chunk = tile.chunk.get();;) {
+      if (const auto at = first_slot_.find(chunk->tiles[at_tile].id); at != first_slot_.end()) return at->second + index;
+      if (chunk->isTop()) return kNoSlot;
+      index = chunk->parentIndexOf(at_tile)[index];
+      const uint32_t parent = chunk->tiles[at_tile].parent_tile;
+      chunk = chunk->parent.get();
+      at_tile = parent - chunk->firstTile();
     }
   }
 
  private:
   static constexpr uint32_t kNone = 0xffffffffu;
-  const formats::World& world_;
   stream::TileMap<uint32_t> first_slot_;  // of active tiles
   std::vector<uint32_t> tile_of_slot_;  // index in tiles_
   std::vector<SlotRange> tiles_;

@@ -675,7 +675,7 @@ VulkanGatherSettings gatherRoomFor(const formats::World& world) {
   for (uint32_t level = 0; level < world.levels().size(); ++level) {
     nodes += world.levels()[level].nodes;
     entries += world.levels()[level].entries;
-    tiles += world.tiles(level).size();
+    tiles += world.levels()[level].tiles;
   }
   const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots), a_row = entries / std::max<uint64_t>(nodes, 1) + 1;
   VulkanGatherSettings s;
@@ -683,7 +683,7 @@ VulkanGatherSettings gatherRoomFor(const formats::World& world) {
   s.tiles = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 4096));
   s.pages = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 65536));
   // A word an entry, about a run of one word for every four of them; row starts and nodes 32 bytes.
-  s.packed_bytes = ((a_row * 3 + 32) * in_cut + tiles * 8) * 3 / 2 + (1 << 16);
+  s.packed_bytes = ((a_row * 3 + 32) * in_cut + std::min<uint64_t>(tiles, 65536) * 8) * 3 / 2 + (1 << 16);
   s.entry_bytes = (a_row + 2 * shaders::kEntriesPerLoad) * 4 * in_cut * 3 / 2 + (1 << 16);
   return s;
 }

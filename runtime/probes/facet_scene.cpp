@@ -19,44 +19,46 @@ constexpr auto kPublishEvery = std::chrono::milliseconds(50);
 // Cells that the observer moves before the choice of tiles is looked at again.
 constexpr float kReaimCells = 4;
 
-// Level-0 tiles, the nearest first, by a descent that visits only tiles that are as near and their siblings.
+// Level-0 tiles, the nearest first, by a descent that visits only tiles that are as near and their siblings. What cannot be read is left out.
 class NearestTiles {
  public:
   NearestTiles(const formats::World& world, Vec3 observer) : world_(world), observer_(observer) {
-    const auto top = static_cast<uint32_t>(world.levels().size() - 1);
-    offer(top, 0, world.levels()[top].tiles);
+    for (uint32_t k = 0; k < world.root()->children.size(); ++k)
+      if (auto chunk = world.child(world.root(), k)) offer(*chunk, 0, static_cast<uint32_t>((*chunk)->tiles.size()));
   }
-  // Distance in metres and number.
-  std::optional<std::pair<float, uint32_t>> next() {
+  struct Place {
+    float distance_m = 0;
+    formats::TileRef tile;
+    // The farther first, for a heap whose front is the nearest; the finer where it is the same.
+    friend bool operator<(const Place& a, const Place& b) { return a.key() > b.key(); }
+    std::tuple<float, uint32_t, uint32_t> key() const { return {distance_m, formats::kMaxLevels - tile.id().level, tile.id().tile}; }
+  };
+  std::optional<Place> next() {
     while (!heap_.empty()) {
-      std::ranges::pop_heap(heap_, std::greater());
-      const auto [distance, depth, tile] = heap_.back();
+      std::ranges::pop_heap(heap_, std::less());
+      Place place = std::move(heap_.back());
       heap_.pop_back();
-      const uint32_t level = formats::kMaxLevels - depth;
-      if (level == 0) return std::pair{distance, tile};
-      const auto [first, end] = world_.childTiles({level, tile});
-      offer(level - 1, first, end);
+      if (place.tile.id().level == 0) return place;
+      if (auto below = world_.childTiles(place.tile)) offer(below->chunk, below->first, below->end);
     }
     return std::nullopt;
   }
+  // That the descent went through.
+  std::vector<formats::ChunkPtr> takeChunks() { return std::move(chunks_); }
 
  private:
-  void offer(uint32_t level, uint32_t first, uint32_t end) {
+  void offer(const formats::ChunkPtr& chunk, uint32_t first, uint32_t end) {
+    if (chunks_.empty() || chunks_.back() != chunk) chunks_.push_back(chunk);
     for (uint32_t t = first; t < end; ++t) {
-      heap_.emplace_back(world_.tiles(level)[t].bounds.distance(observer_), formats::kMaxLevels - level, t);
-      std::ranges::push_heap(heap_, std::greater());
+      heap_.push_back({chunk->tiles[t].bounds.distance(observer_), {chunk, t}});
+      std::ranges::push_heap(heap_, std::less());
     }
   }
   const formats::World& world_;
   const Vec3 observer_;
-  std::vector<std::tuple<float, uint32_t, uint32_t>> heap_;  // distance, kMaxLevels - level, tile: coarser first where it is the same
+  std::vector<formats::ChunkPtr> chunks_;
+  std::vector<Place> heap_;
 };
-
-uint32_t tilesBeneath(const formats::World& world, formats::TileId id) {
-  uint32_t first = id.tile, end = id.tile + 1;
-  for (uint32_t level = id.level; level > 0; --level) std::tie(first, end) = world.childTiles(level, first, end);
-  return end - first;
-}
 
 }  // namespace
 
@@ -89,7 +91,7 @@ FacetScene::Hit FacetScene::nearest(const RayLine& ray) const {
           bool front = true;
           const float distance = distanceTo(tile.facets[f], ray, front), handicap = front ? 0 : back_handicap_m;
           if (distance > handicap && distance + handicap < best.distance_m)
-            best = {tile.tile, tile.facets[f].patch, front, distance + handicap};
+            best = {&tile, tile.facets[f].patch, front, distance + handicap};
         }
       });
     }
@@ -178,16 +180,17 @@ bool FacetScenes::loadAround(Vec3 observer) {
   const uint32_t aim = aim_.load();
   using Place = std::pair<float, uint32_t>;  // distance, level-0 tile
   std::vector<Place> far;                    // what is here, the farthest last
-  for (const auto& [tile, facets] : loaded_) far.emplace_back(world_.tiles(0)[tile].bounds.distance(observer), tile);
+  for (const auto& [tile, facets] : loaded_) far.emplace_back(facets->tile.info().bounds.distance(observer), tile);
   std::ranges::sort(far);
   NearestTiles nearest(world_, observer);
   auto published = std::chrono::steady_clock::now();
-  while (const std::optional<Place> next = nearest.next()) {
+  while (const std::optional<NearestTiles::Place> next = nearest.next()) {
     if (stop_ || aim_.load() != aim) break;
-    if (loaded_.contains(next->second)) continue;
-    auto tile = load(next->second);
+    const uint32_t number = next->tile.id().tile;
+    if (loaded_.contains(number)) continue;
+    auto tile = load(next->tile);
     if (!tile) continue;
-    while (bytes_ + tile->bytes() > memory_bytes_ && !far.empty() && far.back() > *next) {
+    while (bytes_ + tile->bytes() > memory_bytes_ && !far.empty() && far.back() > Place{next->distance_m, number}) {
       const auto farthest = loaded_.find(far.back().second);
       bytes_ -= farthest->second->bytes();
       loaded_.erase(farthest);
@@ -195,18 +198,19 @@ bool FacetScenes::loadAround(Vec3 observer) {
     }
     if (bytes_ + tile->bytes() > memory_bytes_) break;
     bytes_ += tile->bytes();
-    loaded_.emplace(next->second, std::move(tile));
+    loaded_.emplace(number, std::move(tile));
     unpublished_ = true;
     if (std::chrono::steady_clock::now() - published < kPublishEvery) continue;
     publish();
     published = std::chrono::steady_clock::now();
   }
+  chunks_ = nearest.takeChunks();
   if (unpublished_ || published_count_ == 0) publish();
   return !stop_ && aim_.load() == aim;
 }
 
 // Null: unreadable; its area stays with the planes of the cut (ffinspect verify names what is wrong with a file).
-std::shared_ptr<const TileFacets> FacetScenes::load(uint32_t tile) const {
+std::shared_ptr<const TileFacets> FacetScenes::load(const formats::TileRef& tile) const {
   const auto geometry = world_.geometry(tile);
   if (!geometry) return nullptr;
   auto out = std::make_shared<TileFacets>();
@@ -229,19 +233,27 @@ void FacetScenes::publish() {
   auto scene = std::make_unique<FacetScene>();
   scene->back_handicap_m = kBackHandicapCells * world_.info().cell_m;
   std::vector<Box> boxes;
-  stream::TileMap<uint32_t> here;  // level-0 tiles of `loaded_` beneath a tile
+  std::vector<formats::TileRef> covered, above;  // of one level
   for (const auto& [tile, facets] : loaded_) {
     scene->tiles.push_back(facets);
     boxes.push_back(facets->bounds);
-    for (formats::TileId up{0, tile};; up = {up.level + 1, world_.parentTile(up)}) {
-      ++here[up];
-      if (up.level + 1 == world_.levels().size()) break;
-    }
+    covered.push_back(facets->tile);
   }
   scene->tree = BoxTree(boxes, 1);
   scene->complete = loaded_.size() == world_.levels()[0].tiles;
-  for (const auto& [tile, count] : here)
-    if (count == tilesBeneath(world_, tile)) scene->covered.insert(tile);
+  // A tile is covered if all of its child tiles are: they follow each other in the order of tiles.
+  for (; !covered.empty(); covered.swap(above)) {
+    above.clear();
+    uint32_t here = 0;
+    for (size_t k = 0; k < covered.size(); ++k) {
+      const formats::TileRef& tile = covered[k];
+      scene->covered.insert(tile.id());
+      if (tile.chunk->isTop()) continue;
+      here = k > 0 && covered[k - 1].info().parent_tile == tile.info().parent_tile ? here + 1 : 1;
+      formats::TileRef parent = tile.parent();
+      if (here == parent.info().end_child - parent.info().first_child) above.push_back(std::move(parent));
+    }
+  }
   ScenePtr old_published, old_returned, made = std::move(scene);
   {
     const std::lock_guard lock(mutex_);

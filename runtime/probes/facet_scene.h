@@ -25,7 +25,7 @@ struct Facet {
 float distanceTo(const Facet& facet, const RayLine& ray, bool& front);
 
 struct TileFacets {
-  uint32_t tile = 0;
+  formats::TileRef tile;
   std::vector<Facet> facets;  // in the order of the tree
   BoxTree tree;
   Box bounds;
@@ -41,7 +41,8 @@ struct FacetScene {
   float back_handicap_m = 0;
 
   struct Hit {
-    uint32_t tile = 0, patch = 0;  // of level 0
+    const TileFacets* tile = nullptr;
+    uint32_t patch = 0;  // of the tile
     bool front = true;
     float distance_m = 3e38f;  // this: nothing
   };
@@ -73,7 +74,7 @@ class FacetScenes {
   using ScenePtr = std::unique_ptr<const FacetScene>;
   void work();
   bool loadAround(Vec3 observer);  // false: the observer has moved on
-  std::shared_ptr<const TileFacets> load(uint32_t tile) const;
+  std::shared_ptr<const TileFacets> load(const formats::TileRef& tile) const;
   void publish();
 
   const formats::World& world_;
@@ -91,6 +92,7 @@ class FacetScenes {
   std::atomic<uint32_t> published_count_{0};
   // The thread's.
   std::map<uint32_t, std::shared_ptr<const TileFacets>> loaded_;  // by level-0 tile
+  std::vector<formats::ChunkPtr> chunks_;  // that the last choice of tiles went through: the next one will, too
   uint64_t bytes_ = 0;
   bool unpublished_ = false;  // tiles were loaded since the last scene
   std::thread thread_;

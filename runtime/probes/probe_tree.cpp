@@ -29,13 +29,13 @@ float chance(uint32_t ray, const std::array<int32_t, 3>& at, int level) {
 
 }  // namespace
 
-ProbeTree::ProbeTree(const formats::World& world, uint32_t max_slots) : origin_(world.info().grid_origin), leaves_(max_slots) {
+ProbeTree::ProbeTree(const formats::World& world, uint32_t max_slots) : leaves_(max_slots) {
   const Box& bounds = world.info().bounds;
   for (const formats::LevelInfo& level : world.levels()) edge_.push_back(level.cell_m);
   least_back_m_ = kSlack * edge_.front();
   // Cells to which faces in the bounds' own planes belong lie just outside them.
   const Vec3 slack = Vec3{1, 1, 1} * (2 * kSlack * edge_.back());
-  const Vec3 lo = bounds.lo - slack - origin_, hi = bounds.hi + slack - origin_;
+  const Vec3 lo = bounds.lo - slack, hi = bounds.hi + slack;
   while (std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z}) > edge_.back() && edge_.size() < kMostLevels)
     edge_.push_back(2 * edge_.back());
   for (int a = 0; a < 3; ++a) root_at_[static_cast<size_t>(a)] = cellNumber(std::floor(lo[a] / edge_.back()));
@@ -55,7 +55,7 @@ ProbeTree::Coordinates ProbeTree::cellOf(const formats::Node& node, int level) c
   Coordinates at{};
   for (int a = 0; a < 3; ++a) {
     // A face in a plane between cells belongs to the one behind it.
-    const float x = (node.centroid[a] - origin_[a]) / edge(level);
+    const float x = node.centroid[a] / edge(level);
     const float nearest = std::round(x), n = node.normal[a];
     const bool on_border = std::abs(x - nearest) < kSlack && std::abs(n) > 0.5f;
     at[static_cast<size_t>(a)] = cellNumber(on_border ? nearest - (n > 0 ? 1.0f : 0.0f) : std::floor(x));
@@ -69,7 +69,7 @@ float ProbeTree::sectionArea(const Leaf& leaf, const Coordinates& at, int level)
   const float e = edge(level);
   const float nx = std::abs(leaf.normal.x), ny = std::abs(leaf.normal.y), nz = std::abs(leaf.normal.z);
   const int w = nx >= ny && nx >= nz ? 0 : ny >= nz ? 1 : 2, u = (w + 1) % 3, v = (w + 2) % 3;
-  const auto low = [&](int a) { return origin_[a] + static_cast<float>(at[static_cast<size_t>(a)]) * e; };
+  const auto low = [&](int a) { return static_cast<float>(at[static_cast<size_t>(a)]) * e; };
   const float nw = leaf.normal[w], nu = leaf.normal[u], nv = leaf.normal[v];
   // Height over the cell's floor at corner (x, y) of the square.
   const auto height = [&](float x, float y) {
@@ -163,7 +163,7 @@ void ProbeTree::remove(uint32_t slot) {
 // The cell grows by the slack.
 bool ProbeTree::clip(const RayLine& ray, Visit& visit) const {
   const float e = edge(visit.level);
-  const Vec3 low = origin_ + e * Vec3{static_cast<float>(visit.at[0]), static_cast<float>(visit.at[1]),
+  const Vec3 low = e * Vec3{static_cast<float>(visit.at[0]), static_cast<float>(visit.at[1]),
                                       static_cast<float>(visit.at[2])};
   const Slab slab(ray, low, low + Vec3{e, e, e}, kSlack * e);
   visit.enter = slab.enter;

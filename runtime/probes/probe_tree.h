@@ -67,7 +67,6 @@ class ProbeTree {
   bool clip(const RayLine& ray, Visit& visit) const;
   void testLeaves(const Query& query, const Visit& visit, Hit& best) const;
 
-  Vec3 origin_;
   float least_back_m_ = 0;   // back faces nearer than this are the surface that a probe lies on
   std::vector<float> edge_;  // of a cell, by level; the last level has at most two cells an axis
   Coordinates root_at_{};    // the lowest of those

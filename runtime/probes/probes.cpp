@@ -180,7 +180,7 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
       const uint32_t slot =
           plane.slot != kNoSlot
               ? plane.slot
-              : slots_.slotOf({0, facet.tile}, world_.tiles(0)[facet.tile].first_node + facet.patch);
+              : slots_.slotOf(facet.tile->tile, facet.patch);
       if (slot != kNoSlot) met_[met++] = static_cast<uint16_t>(slot);
     }
   }

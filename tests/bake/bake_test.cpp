@@ -11,7 +11,7 @@
 #include <stdexcept>
 #include <system_error>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "tests/bake/variants.h"
 #include "tools/inspect/world_check.h"
 
@@ -99,7 +99,7 @@ TEST_F(Bake, GoesOnWhereItsProgressCannotBeShown) {
 
 TEST_F(Bake, AClosedBoxKeepsAllEnergyAtEveryLevel) {
   ASSERT_TRUE(bakeWorld(closedBox({.5f, .5f, .5f}, {1, 1, 1}), {.cell_m = 0.03125f, .rays = 256, .quanta = 128}, path("box.ffm")));
-  auto world = formats::World::open(path("box.ffm"));
+  auto world = formats::WholeWorld::open(path("box.ffm"));
   ASSERT_TRUE(world) << world.error().line();
   ASSERT_GE(world->levels().size(), 2u);
   for (uint32_t l = 0; l < world->levels().size(); ++l) {
@@ -124,7 +124,7 @@ TEST_F(Bake, AFurnaceOfAnyAlbedoReachesItsClosedForm) {
   // B = M / (1 - rho): row sums are exactly one, so every Jacobi iterate is uniform and the limit has no sampling error.
   for (float rho : {0.5f, 0.9f}) {
     ASSERT_TRUE(bakeWorld(closedBox({rho, rho, rho}, {1, 1, 1}), {.cell_m = 0.125f, .rays = 128, .quanta = 64}, path("box.ffm")));
-    auto world = formats::World::open(path("box.ffm"));
+    auto world = formats::WholeWorld::open(path("box.ffm"));
     ASSERT_TRUE(world) << world.error().line();
     const uint32_t n = world->levels()[0].nodes;
     std::vector<double> b(n, 0), next(n);
@@ -158,7 +158,7 @@ TEST_F(Bake, OfASurfaceHalfInsideASolidTheOtherHalfTakesPart) {
   const auto stats = bakeWorld(s, {.cell_m = 1, .rays = 4096, .quanta = 4096}, path("buried.ffm"));
   ASSERT_TRUE(stats);
   EXPECT_LT(stats->absorbed_fraction, 0.01);  // the block's foot sees the floor's back
-  auto world = formats::World::open(path("buried.ffm"));
+  auto world = formats::WholeWorld::open(path("buried.ffm"));
   ASSERT_TRUE(world);
   double exposed = -1, sky = -1;
   for (const auto& tile : world->tiles(0)) {
@@ -199,7 +199,7 @@ TEST_F(Bake, LeavesOutTheMaterialsItIsToldToAndRefusesAnUnknownOne) {
   EXPECT_EQ(all->levels[0].nodes, 2u);
   EXPECT_EQ(rest->levels[0].nodes, 1u);
   EXPECT_EQ(rest->sky_fraction, 1);
-  auto a = formats::World::open(path("all.ffm")), b = formats::World::open(path("rest.ffm"));
+  auto a = formats::WholeWorld::open(path("all.ffm")), b = formats::WholeWorld::open(path("rest.ffm"));
   ASSERT_TRUE(a && b);
   EXPECT_NE(a->info().bake_key, b->info().bake_key);
   const auto unknown = bakeWorld(s, {.cell_m = 1, .cleanup = {.exclude = {"Outline"}}}, path("unknown.ffm"));
@@ -220,7 +220,7 @@ TEST_F(Bake, AGroupOfLampsThatDifferInBrightnessAddsUpAtEveryLevel) {
     power += 0.0625 * std::numbers::pi * static_cast<double>(radiance);
   }
   ASSERT_TRUE(bakeWorld(s, {.cell_m = 0.25f, .rays = 128, .quanta = 128}, path("row.ffm")));
-  auto world = formats::World::open(path("row.ffm"));
+  auto world = formats::WholeWorld::open(path("row.ffm"));
   ASSERT_TRUE(world) << world.error().line();
   const auto check = tools::checkWorld(*world, 1, nullptr);
   EXPECT_TRUE(check.corrupt.empty());
@@ -280,9 +280,9 @@ TEST_F(Bake, CarriesTheAskedShareOfAMetalsReflectionAsDiffuse) {
   for (Material& m : s.materials) m.metallic = 0.8f;  // base colour 0.5
   for (const float metals : {0.0f, 0.25f, 1.0f}) {
     ASSERT_TRUE(bakeWorld(s, {.cell_m = 1, .rays = 16, .quanta = 16, .metals = metals}, path("metal.ffm")));
-    auto world = formats::World::open(path("metal.ffm"));
+    auto world = formats::WholeWorld::open(path("metal.ffm"));
     ASSERT_TRUE(world);
-    auto strip = world->strip({0, 0});
+    auto strip = world->strip(formats::TileId{0, 0});
     ASSERT_TRUE(strip);
     EXPECT_NEAR(strip->nodes[0].albedo.x, 0.5f * (1 - 0.8f * (1 - metals)), 2e-5f);
   }
@@ -292,9 +292,9 @@ TEST_F(Bake, LowersAnAlbedoOfOneInAClosedRoomAndSaysSo) {
   const auto stats = bakeWorld(closedBox({1, 0.5f, 1}, {}), {.cell_m = 0.25f, .rays = 64, .quanta = 64}, path("white.ffm"));
   ASSERT_TRUE(stats);
   EXPECT_EQ(stats->clamped_nodes, 96u);
-  auto world = formats::World::open(path("white.ffm"));
+  auto world = formats::WholeWorld::open(path("white.ffm"));
   ASSERT_TRUE(world);
-  auto strip = world->strip({0, 0});
+  auto strip = world->strip(formats::TileId{0, 0});
   ASSERT_TRUE(strip);
   for (const auto& node : strip->nodes) {
     EXPECT_NEAR(node.albedo.x, 0.999f, 2e-5f);  // stored in 16 bits
@@ -324,7 +324,7 @@ TEST_F(Bake, APatchBudgetIsMetWithinATenth) {
 TEST_F(Bake, DrawingGeometryCoversThePatches) {
   const auto stats = bakeWorld(sphericalCap(1.5, 16, 32), {.cell_m = 0.1f, .rays = 16, .quanta = 16}, path("cap.ffm"));
   ASSERT_TRUE(stats);
-  auto world = formats::World::open(path("cap.ffm"));
+  auto world = formats::WholeWorld::open(path("cap.ffm"));
   ASSERT_TRUE(world) << world.error().line();
   ASSERT_TRUE(world->hasGeometry());
   double area = 0;

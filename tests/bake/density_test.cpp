@@ -14,7 +14,7 @@
 #include "bake/estimate.h"
 #include "bake/surface/fineness.h"
 #include "bake/surface/patch_size.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {
@@ -149,7 +149,7 @@ TEST(Density, AClosedFurnaceKeepsItsClosedFormAtEveryLevel) {
     const auto stats = bakeWorld(statueRoom(density, {1, 1, 1}, 0.8f), {.cell_m = 0.19f, .rays = 64, .quanta = 64}, (folder / "w.ffm").string());
     ASSERT_TRUE(stats);
     EXPECT_TRUE(stats->warnings.empty() && stats->not_modelled.empty());
-    auto world = formats::World::open((folder / "w.ffm").string());
+    auto world = formats::WholeWorld::open((folder / "w.ffm").string());
     ASSERT_TRUE(world);
     ASSERT_GE(world->levels().size(), 2u);
     const auto expected = static_cast<float>(std::numbers::pi / (1 - 0.8));

@@ -18,6 +18,7 @@
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
+#include "formats/reader.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
@@ -158,9 +159,8 @@ int main(int argc, char** argv) {
   uint64_t all = 0;
   for (const auto& l : stats.levels) all += l.stored_bytes;
   const auto& level0 = stats.levels[0];
-  constexpr double kIndexRecord = 64;  // FORMAT.md: bytes of a strip's index record
-  const double level0_bytes = static_cast<double>(level0.stored_bytes) + kIndexRecord * level0.tiles;
-  print("bake.bytes_per_patch", level0_bytes / level0.nodes, "B", 190, note + "; level 0: rows, node records, index");
+  const auto world = orExit(formats::World::open((folder / "town.ffm").string()));
+  print("bake.bytes_per_patch", static_cast<double>(world.levels()[0].stored_bytes) / level0.nodes, "B", 190, note + "; level 0: rows, node records, index");
   print("bake.entries_per_row", static_cast<double>(level0.entries) / level0.nodes, "entries", kNoLimit, note);
   print("bake.pyramid_over_level0", static_cast<double>(all) / static_cast<double>(level0.stored_bytes), "ratio", 1.6,
         note);

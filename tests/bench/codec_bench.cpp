@@ -1,7 +1,5 @@
 // ff_bench_codec [--quick]: size and decoding speed of strips, on the level-0 rows of a baked voxel town, beside zstd
 // alone on the same bytes. Prints one JSON object a line (metric, value, unit, limit, note). One thread.
-#include <fcntl.h>
-#include <unistd.h>
 #include <zstd.h>
 
 #include <algorithm>
@@ -15,8 +13,8 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "formats/reader.h"
 #include "formats/records.h"
+#include "formats/whole_world.h"
 #include "formats/writer.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
@@ -55,22 +53,26 @@ double fastest(const std::function<void()>& work) {
   return best;
 }
 
-int measure(const World& world, const std::string& scene) {
+int measure(const WholeWorld& world, const std::string& scene) {
   const auto tiles = world.tiles(0);
   std::vector<std::vector<std::byte>> stored;
   std::vector<Strip> strips;
+  std::vector<TileRef> refs;
+  std::vector<TileName> names;
+  for (const TileInfo& t : tiles) {
+    refs.push_back(world.ref(t.id));
+    names.push_back(refs.back().name());
+  }
   double entries = 0, payload = 0, raw = 0;
   for (const TileInfo& t : tiles) {
-    stored.emplace_back(t.stored_bytes);
-    if (::pread(world.shards()[t.shard].descriptor, stored.back().data(), t.stored_bytes,
-                static_cast<off_t>(t.offset)) != static_cast<ssize_t>(t.stored_bytes))
-      return failed({ErrorCode::kIo, world.path(), "", "cannot read a strip", ""});
+    stored.emplace_back(t.strip.stored_bytes);
+    if (auto ok = world.readStored(t.strip, stored.back()); !ok) return failed(ok.error());
     auto strip = world.strip(t.id);
     if (!strip) return failed(strip.error());
     strips.push_back(std::move(*strip));
     entries += t.entries;
-    payload += t.stored_bytes - static_cast<double>(kStripHeaderBytes);
-    raw += t.raw_bytes;
+    payload += t.strip.stored_bytes - static_cast<double>(kStripHeaderBytes);
+    raw += t.strip.raw_bytes;
   }
   const LevelInfo& level = world.levels()[0];
   const std::string note = scene + ", " + std::to_string(static_cast<uint64_t>(entries)) + " entries, " +
@@ -82,7 +84,7 @@ int measure(const World& world, const std::string& scene) {
   Strip out;
   const double decode = fastest([&] {
     for (size_t t = 0; t < tiles.size(); ++t)
-      if (auto ok = world.decodeStrip(tiles[t].id, stored[t], out); !ok) std::exit(failed(ok.error()));
+      if (auto ok = world.decodeStrip(refs[t], stored[t], out); !ok) std::exit(failed(ok.error()));
   });
   std::vector<std::byte> buffer(64u << 20);
   ZSTD_DCtx* context = ZSTD_createDCtx();
@@ -95,7 +97,7 @@ int measure(const World& world, const std::string& scene) {
   ZSTD_freeDCtx(context);
   const double encode = fastest([&] {
     for (size_t t = 0; t < tiles.size(); ++t)
-      if (auto e = encodeStrip(strips[t], tiles[t].bounds); !e) std::exit(failed(e.error()));
+      if (auto e = encodeStrip(strips[t], tiles[t].bounds, names); !e) std::exit(failed(e.error()));
   });
   print("codec.decode_entries_per_s", entries / decode, "1/s", entries / bare,
         note + "; checksum, decompression, decoding and all checks; limit: ZSTD_decompressDCtx alone");
@@ -123,7 +125,7 @@ int main(int argc, char** argv) {
     settings.quanta = 512;
     settings.cell_m = 1;
     if (auto stats = bake::bakeWorld(*scene, settings, folder + "/town.ffm", {}); !stats) return failed(stats.error());
-    auto world = World::open(folder + "/town.ffm");
+    auto world = WholeWorld::open(folder + "/town.ffm");
     if (!world) return failed(world.error());
     return measure(*world, "voxel town of " + std::to_string(world->levels()[0].nodes) + " patches, " +
                                std::to_string(settings.rays) + " rays, Q = 512");

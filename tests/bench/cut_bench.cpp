@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 
+#include "formats/whole_world.h"
 #include "tests/bench/cut_places.h"
 #include "tests/bench/truth.h"
 
@@ -34,7 +35,7 @@ struct Solved {
   double build_ms = 0, iteration_ms = 0;
 };
 
-Solved solve(const formats::World& world, const Truth& truth, const stream::Streamer& streamer, FarLight far_light,
+Solved solve(const formats::WholeWorld& world, const Truth& truth, const stream::Streamer& streamer, FarLight far_light,
              const Case& at) {
   Solved solved;
   solved.build_ms = 1e9;
@@ -60,8 +61,8 @@ Solved solve(const formats::World& world, const Truth& truth, const stream::Stre
 void run(const Options& options) {
   const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_cut_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  const formats::World world =
-      orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick, options.patches, options.rays) : options.world));
+  const formats::WholeWorld world =
+      orExit(formats::WholeWorld::open(options.world.empty() ? bakeTown(folder, options.quick, options.patches, options.rays) : options.world));
   const Truth truth = solveTruth(world, options.lamps);
   const CutSettings settings{options.radius_m, options.growth, options.max_patches};
   printFixedDistances(world, truth, settings, options.eyes);

@@ -4,6 +4,7 @@
 #include <array>
 #include <ctime>
 
+#include "formats/whole_world.h"
 #include "tools/chart/neighbourhood.h"
 
 namespace ff::bench {
@@ -23,12 +24,12 @@ double threadMs() {
   return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
 }
 
-std::unique_ptr<stream::Streamer> streamerOf(const formats::World& world, const CutSettings& s, float hysteresis) {
+std::unique_ptr<stream::Streamer> streamerOf(const formats::WholeWorld& world, const CutSettings& s, float hysteresis) {
   return orExit(stream::Streamer::create(
       world, {.radius_m = s.radius_m, .growth = s.growth, .hysteresis = hysteresis, .max_level0_nodes = s.max_patches}));
 }
 
-std::string describe(const formats::World& world, const CutSettings& s) {
+std::string describe(const formats::WholeWorld& world, const CutSettings& s) {
   return std::to_string(world.levels()[0].nodes) + " patches, at most " + std::to_string(s.max_patches) + " active, r_0 " +
          std::to_string(s.radius_m) + " m";
 }
@@ -39,7 +40,7 @@ struct Walk {
 };
 
 // Around the middle of the town, from an eye in a street.
-std::vector<Walk> walksFrom(const formats::World& world, Vec3 eye) {
+std::vector<Walk> walksFrom(const formats::WholeWorld& world, Vec3 eye) {
   const Box& box = world.info().bounds;
   const float half = 0.4f * (box.hi.x - box.lo.x);
   constexpr int kSteps = 240;  // 4 s
@@ -86,7 +87,7 @@ std::vector<Vec3> standingEyes(const Truth& truth, int count) {
   return eyes;
 }
 
-void printFixedDistances(const formats::World& world, const Truth& truth, const CutSettings& settings, int count) {
+void printFixedDistances(const formats::WholeWorld& world, const Truth& truth, const CutSettings& settings, int count) {
   struct Ring {
     uint64_t patches = 0, full = 0;
     std::vector<double> errors;
@@ -105,12 +106,13 @@ void printFixedDistances(const formats::World& world, const Truth& truth, const 
     entries.push_back(static_cast<double>(matrix.used_entries));
     level0.push_back(0);
     for (const SlotRange& range : matrix.tiles) level0.back() += range.id.level == 0 ? range.nodes : 0;
-    for (const formats::Strip& strip : truth.patches)
+    for (const formats::Strip& strip : truth.patches) {
+      const formats::TileRef tile = world.ref(strip.id);
       for (uint32_t i = 0; i < strip.nodes.size(); ++i) {
         const formats::Node& node = strip.nodes[i];
         const float away = length(node.centroid - eye);
         if (away > static_cast<float>(kDistances_m.back())) continue;
-        const uint32_t patch = strip.first_node + i, slot = slotFor(world, matrix.tiles, 0, patch);
+        const uint32_t patch = strip.first_node + i, slot = slotFor(matrix.tiles, tile, i);
         // What its surface reflects, as its node in the cut is lit: 1 / albedo of reflected radiosity.
         const Vec4 b = radiosity[slot], rho = matrix.albedo[slot];
         const float shown[3] = {b.x, b.y, b.z}, albedo[3] = {rho.x, rho.y, rho.z};
@@ -129,6 +131,7 @@ void printFixedDistances(const formats::World& world, const Truth& truth, const 
           rings[d].errors.push_back(std::sqrt(off / all));
         }
       }
+    }
   }
   const std::string name = describe(world, settings) + "; " + std::to_string(eyes.size()) + " eyes, half in streets, half in rooms";
   for (size_t d = 0; d < kDistances_m.size(); ++d) {
@@ -152,7 +155,7 @@ void printFixedDistances(const formats::World& world, const Truth& truth, const 
   printAll("cut.entries", entries, std::nan(""));
 }
 
-void printCutChanges(const formats::World& world, const Truth& truth, const CutSettings& settings) {
+void printCutChanges(const formats::WholeWorld& world, const Truth& truth, const CutSettings& settings) {
   const std::vector<Vec3> eyes = standingEyes(truth, 2);
   for (const Walk& walk : walksFrom(world, eyes.front())) {
     const auto streamer = streamerOf(world, settings, stream::StreamSettings{}.hysteresis);

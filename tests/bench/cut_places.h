@@ -3,6 +3,7 @@
 #include <span>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "tests/bench/truth.h"
 
 namespace ff::bench {
@@ -20,9 +21,9 @@ struct CutSettings {
 };
 
 // Prints cut.full_resolution_Nm and cut.median_error_Nm for N = 6, 12, 24, cut.slots, cut.entries and cut.tiles.
-void printFixedDistances(const formats::World& world, const Truth& truth, const CutSettings& settings, int eyes);
+void printFixedDistances(const formats::WholeWorld& world, const Truth& truth, const CutSettings& settings, int eyes);
 
 // Prints cut.change_ms (worst; median in the note) of walks at 30 m/s, 60 frames a second: along a line, there and back, and in a circle.
-void printCutChanges(const formats::World& world, const Truth& truth, const CutSettings& settings);
+void printCutChanges(const formats::WholeWorld& world, const Truth& truth, const CutSettings& settings);
 
 }  // namespace ff::bench

@@ -8,6 +8,7 @@
 #include <Eigen/Sparse>
 #include <algorithm>
 
+#include "formats/whole_world.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/vk_multibounce.h"
@@ -95,7 +96,7 @@ EigenMs eigenMs(const LocalMatrix& m, int repeats) {
 
 std::string percent(double x) { return std::to_string(100 * x) + " %"; }
 
-void runCpu(const Options& options, const formats::World& world, const Truth& truth, const std::vector<Neighbourhood>& places) {
+void runCpu(const Options& options, const formats::WholeWorld& world, const Truth& truth, const std::vector<Neighbourhood>& places) {
   WorkerPool pool(options.threads);
   const std::string machine = std::to_string(pool.threads()) + " threads";
   ReadBandwidth bandwidth(pool);
@@ -208,7 +209,7 @@ void runCpu(const Options& options, const formats::World& world, const Truth& tr
   print("relight.multibounce_fp16_bandwidth_fraction", denseShare(2, 2), "ratio", 0.85, "fp16; " + matrix, "cpu");
 }
 
-void runVulkan(const Options& options, const formats::World& world, const Neighbourhood& place) {
+void runVulkan(const Options& options, const formats::WholeWorld& world, const Neighbourhood& place) {
   auto context = openVulkan();
   if (!context) {
     std::cerr << "ff_bench_relight: Vulkan is left out: " << context.error().line() << "\n";
@@ -257,8 +258,8 @@ void runVulkan(const Options& options, const formats::World& world, const Neighb
 void run(const Options& options) {
   const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_relight_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  const formats::World world =
-      orExit(formats::World::open(options.world.empty() ? bakeTown(folder, options.quick) : options.world));
+  const formats::WholeWorld world =
+      orExit(formats::WholeWorld::open(options.world.empty() ? bakeTown(folder, options.quick) : options.world));
   const Truth truth = solveTruth(world, false);
   std::vector<Neighbourhood> places;
   for (const Vec3 observer : observersOf(truth, 4 * options.observers, world.info().cell_m)) {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "formats/whole_world.h"
 #include "tests/bench/truth.h"
 
 namespace ff::bench {
@@ -14,7 +15,7 @@ struct Times {
 };
 
 // Every active level-0 tile out and in again. Nothing else depends on a level-0 tile, so any of them may go.
-void timeTiles(const formats::World& world, std::span<const stream::StripPtr> active, Times& times) {
+void timeTiles(const formats::WholeWorld& world, std::span<const stream::StripPtr> active, Times& times) {
   runtime::MatrixAssembler assembler(world);
   orExit(assembler.update(active));
   std::vector<stream::StripPtr> without;
@@ -37,12 +38,12 @@ void timeTiles(const formats::World& world, std::span<const stream::StripPtr> ac
 void printTileApply(const std::string& world_path, bool quick) {
   const auto folder = std::filesystem::temp_directory_path() / ("ff_tile_apply_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  const formats::World world = orExit(formats::World::open(world_path.empty() ? bakeTown(folder, quick) : world_path));
+  const formats::WholeWorld world = orExit(formats::WholeWorld::open(world_path.empty() ? bakeTown(folder, quick) : world_path));
   constexpr uint32_t kObservers = 9;
   Times times;
   for (uint32_t k = 0; k < kObservers; ++k) {
     const uint32_t patch = world.levels()[0].nodes / (2 * kObservers) * (2 * k + 1);
-    const formats::Strip strip = orExit(world.strip({0, world.tileOf(0, patch)}));
+    const formats::Strip strip = orExit(world.strip(formats::TileId{0, world.tileOf(0, patch)}));
     const formats::Node& node = strip.nodes[patch - strip.first_node];
     const auto streamer = orExit(stream::Streamer::create(world, {.hysteresis = 1.0f}));
     streamer->update(node.centroid + node.normal * (0.5f * world.info().cell_m), {});

@@ -5,6 +5,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
+#include "formats/whole_world.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
 
@@ -32,6 +33,6 @@ std::string bakeTown(const std::filesystem::path& folder, bool quick, uint64_t p
   return world;
 }
 
-Truth solveTruth(const formats::World& world, bool lamps) { return orExit(chart::solveWorldTruth(world, lamps)); }
+Truth solveTruth(const formats::WholeWorld& world, bool lamps) { return orExit(chart::solveWorldTruth(world, lamps)); }
 
 }  // namespace ff::bench

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "tools/chart/world_truth.h"
 
 namespace ff::bench {
@@ -55,6 +56,6 @@ using chart::meanOutside;
 using chart::observersOf;
 using chart::sourceOf;
 
-Truth solveTruth(const formats::World& world, bool lamps);
+Truth solveTruth(const formats::WholeWorld& world, bool lamps);
 
 }  // namespace ff::bench

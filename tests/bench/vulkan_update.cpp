@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/vk_multibounce.h"
 #include "runtime/dense/vk_seed.h"
@@ -63,10 +64,10 @@ void printBlocks(const std::shared_ptr<VkContext>& context, bool quick) {
 void printTile(const std::shared_ptr<VkContext>& context, const std::string& world_path, bool quick) {
   const auto folder = std::filesystem::temp_directory_path() / ("ff_vulkan_update_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  const formats::World world = orExit(formats::World::open(world_path.empty() ? bakeTown(folder, quick) : world_path));
+  const formats::WholeWorld world = orExit(formats::WholeWorld::open(world_path.empty() ? bakeTown(folder, quick) : world_path));
   const auto recorder = orExit(makeVulkanRecorder(context, gatherRoomFor(world)));
   const uint32_t patch = world.levels()[0].nodes / 2;
-  const formats::Strip strip = orExit(world.strip({0, world.tileOf(0, patch)}));
+  const formats::Strip strip = orExit(world.strip(formats::TileId{0, world.tileOf(0, patch)}));
   const formats::Node& node = strip.nodes[patch - strip.first_node];
   const auto streamer = orExit(stream::Streamer::create(world, {.hysteresis = 1.0f}));
   streamer->update(node.centroid + node.normal * (0.5f * world.info().cell_m), {});

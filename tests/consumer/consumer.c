@@ -28,8 +28,9 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
   if (formfieldGetWorldInfo(world, &info) != FORMFIELD_OK) return fail(device, "world");
   printf("%u patches of %g m on %u levels\n", info.patches, info.cell_m, info.levels);
 
-  float at[3], lamp_at[3];
-  for (int a = 0; a < 3; ++a) at[a] = lamp_at[a] = 0.5f * (info.lo[a] + info.hi[a]);
+  double at[3]; /* in the scene's world space; what is a float counts from the origin */
+  float lamp_at[3];
+  for (int a = 0; a < 3; ++a) at[a] = info.origin[a] + (lamp_at[a] = 0.5f * (info.lo[a] + info.hi[a]));
   const FormfieldSky sky = {{0.9f, 1.15f, 1.5f}, {{0, 0.1f, 0}, {0, 0.3f, 0}, {0, 0.6f, 0}}, {{0}}};
   formfieldSetSky(world, &sky);
   formfieldSetDirectLight(world, lamp, lamp_at);
@@ -37,7 +38,7 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
   /* An engine's frames. Nothing waits: light sharpens as strips arrive. */
   const float velocity[3] = {3, 0, 0};
   for (int frame = 0; frame < 60; ++frame) {
-    at[0] += velocity[0] / 60;
+    at[0] += velocity[0] / 60.0;
     if (formfieldFrame(world, at, velocity) != FORMFIELD_OK) return fail(device, "frame");
   }
   if (formfieldSettle(world, 1e-4f, 500) != FORMFIELD_OK) return fail(device, "settle"); /* a loading screen's way */
@@ -50,7 +51,9 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
          radiosity[4 * slot + 1], radiosity[4 * slot + 2]);
 
   /* For characters: irradiance where they stand, from above and from one side. */
-  const float points[6] = {at[0], at[1], at[2], at[0], at[1], at[2]}, normals[6] = {0, 1, 0, 1, 0, 0};
+  float points[6];
+  const float normals[6] = {0, 1, 0, 1, 0, 0};
+  for (int a = 0; a < 3; ++a) points[a] = points[3 + a] = (float)(at[a] - info.origin[a]);
   float irradiance[6];
   if (formfieldSample(world, 2, points, normals, irradiance) != FORMFIELD_OK) return fail(device, "sample");
   printf("irradiance from above %g %g %g, from the side %g %g %g W/m2\n", irradiance[0], irradiance[1], irradiance[2],

@@ -40,13 +40,14 @@ static int run(FormfieldDevice device, const char* path) {
   FormfieldWorld world;
   if (formfieldOpenWorld(device, path, NULL, &world) != FORMFIELD_OK) return fail(device, path);
   const FormfieldSky sky = {{1, 1, 1}, {{0}}, {{0}}};
-  const float at[3] = {0, 2, 0}, up[3] = {0, 1, 0};
+  const double at[3] = {0, 2, 0};
+  const float point[3] = {0, 2, 0}, up[3] = {0, 1, 0};
   float irradiance[3] = {0, 0, 0};
   FormfieldStats stats;
   stats.size = sizeof stats;
   int code = 2;
   if (formfieldSetSky(world, &sky) != FORMFIELD_OK || formfieldFrame(world, at, NULL) != FORMFIELD_OK ||
-      formfieldSettle(world, 1e-4f, 200) != FORMFIELD_OK || formfieldSample(world, 1, at, up, irradiance) != FORMFIELD_OK ||
+      formfieldSettle(world, 1e-4f, 200) != FORMFIELD_OK || formfieldSample(world, 1, point, up, irradiance) != FORMFIELD_OK ||
       formfieldGetStats(world, &stats) != FORMFIELD_OK) {
     fail(device, "frame");
   } else {

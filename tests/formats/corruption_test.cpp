@@ -9,8 +9,8 @@
 
 #include "formats/bytes.h"
 #include "formats/checksum.h"
-#include "formats/reader.h"
 #include "formats/records.h"
+#include "formats/whole_world.h"
 #include "formats/writer.h"
 #include "tests/support/random_world.h"
 
@@ -19,7 +19,7 @@ namespace {
 
 // Everything a careful user of the file looks at. Ok only if all of it can be read.
 Result<void> readEverything(const std::string& path) {
-  auto world = World::open(path);
+  auto world = WholeWorld::open(path);
   if (!world) return world.error();
   for (uint32_t level = 0; level < world->levels().size(); ++level)
     for (const TileInfo& tile : world->tiles(level))
@@ -46,11 +46,13 @@ class Corruption : public testing::Test {
     ASSERT_TRUE(written) << written.error().line();
     ASSERT_TRUE(readEverything(manifest()));
     rows_ = shardOf(manifest());
-    geometry_ = shardOf(manifest(), true);
+    geometry_ = shardOf(manifest(), kKindGeometry);
+    index_ = shardOf(manifest(), kKindIndex);
   }
   std::string manifest() const { return folder_.file("w.ffm"); }
   const std::string& rows() const { return rows_; }
   const std::string& geometry() const { return geometry_; }
+  const std::string& index() const { return index_; }
   void expectRefused(const std::string& what) {
     const auto read = readEverything(manifest());
     ASSERT_FALSE(read) << what;
@@ -59,11 +61,11 @@ class Corruption : public testing::Test {
     EXPECT_FALSE(read.error().remedy.empty()) << what << ": " << read.error().line();
   }
   TemporaryFolder folder_;
-  std::string rows_, geometry_;
+  std::string rows_, geometry_, index_;
 };
 
 TEST_F(Corruption, EveryChangedByteIsNoticed) {
-  for (const std::string& path : {manifest(), rows(), geometry()}) {
+  for (const std::string& path : {manifest(), rows(), geometry(), index()}) {
     const std::vector<std::byte> bytes = readFile(path);
     ASSERT_GT(bytes.size(), 100u) << path;
     std::fstream file(path, std::ios::binary | std::ios::in | std::ios::out);
@@ -85,7 +87,7 @@ TEST_F(Corruption, EveryChangedByteIsNoticed) {
 
 // Also cuts between records: 3 and 61 divide none of their sizes.
 TEST_F(Corruption, ATruncatedFileIsNoticed) {
-  for (const std::string& path : {manifest(), rows(), geometry()}) {
+  for (const std::string& path : {manifest(), rows(), geometry(), index()}) {
     const std::vector<std::byte> bytes = readFile(path);
     for (size_t n = 0; n < bytes.size(); n += path == manifest() || n >= 4032 ? 3 : 61) {
       writeFile(path, std::span(bytes).first(n));
@@ -96,7 +98,7 @@ TEST_F(Corruption, ATruncatedFileIsNoticed) {
 }
 
 TEST_F(Corruption, TrailingBytesAreNoticed) {
-  for (const std::string& path : {manifest(), rows(), geometry()}) {
+  for (const std::string& path : {manifest(), rows(), geometry(), index()}) {
     const std::vector<std::byte> bytes = readFile(path);
     std::vector<std::byte> longer = bytes;
     longer.push_back(std::byte{0});
@@ -112,14 +114,15 @@ TEST_F(Corruption, BoundsThatCannotBeAreRefusedOnEveryAxis) {
   const auto openWith = [&](int axis, bool low, float value) -> Result<void> {
     const std::string path = folder_.file("odd.ffm");
     auto writer = WorldWriter::create(path);
+    const auto names = nameTiles(w);
     for (size_t level = w.strips.size(); level-- > 0;)
       for (size_t tile = 0; tile < w.strips[level].size(); ++tile) {
-        auto strip = encodeStrip(w.strips[level][tile], w.bounds[level][tile]);
+        auto strip = encodeStrip(w.strips[level][tile], w.bounds[level][tile], names[level]);
         if (level == 0 && tile == 1) (low ? strip->info.bounds.lo : strip->info.bounds.hi)[axis] = value;
         EXPECT_TRUE(writer->addStrip(std::move(*strip)));
       }
-    EXPECT_TRUE(writer->finish(w.info, w.parents, w.cell_m, w.grid));
-    const auto world = World::open(path);
+    EXPECT_TRUE(writer->finish(w.info, w.parents));
+    const auto world = WholeWorld::open(path);
     return world ? Result<void>{} : world.error();
   };
   const float infinity = std::numeric_limits<float>::infinity();
@@ -143,46 +146,46 @@ TEST_F(Corruption, AMissingShardIsAnInputError) {
 }
 
 TEST_F(Corruption, TheErrorNamesStripAndOffset) {
-  auto world = World::open(manifest());
+  auto world = WholeWorld::open(manifest());
   ASSERT_TRUE(world);
   const TileInfo tile = world->tiles(0)[1];
   std::vector<std::byte> bytes = readFile(rows());
-  bytes[tile.offset + 70] ^= std::byte{4};
+  bytes[tile.strip.offset + 70] ^= std::byte{4};
   writeFile(rows(), bytes);
-  const auto strip = world->strip({0, 1});
+  const auto strip = world->strip(TileId{0, 1});
   ASSERT_FALSE(strip);
   EXPECT_EQ(strip.error().file, rows());
-  EXPECT_EQ(strip.error().place, "strip 0:1 at offset " + std::to_string(tile.offset));
-  EXPECT_TRUE(world->strip({0, 0}));
-  EXPECT_EQ(world->strip({0, 2}).error().code, ErrorCode::kUsage);
-  EXPECT_EQ(world->strip({7, 0}).error().code, ErrorCode::kUsage);
+  EXPECT_EQ(strip.error().place, tileText(world->ref({0, 1})) + ", strip at offset " + std::to_string(tile.strip.offset));
+  EXPECT_TRUE(world->strip(TileId{0, 0}));
+  EXPECT_EQ(world->strip(TileId{0, 2}).error().code, ErrorCode::kUsage);
+  EXPECT_EQ(world->strip(TileId{7, 0}).error().code, ErrorCode::kUsage);
 }
 
 TEST_F(Corruption, AStripIsNotTakenForAnother) {
-  auto world = World::open(manifest());
+  auto world = WholeWorld::open(manifest());
   ASSERT_TRUE(world);
   const std::vector<std::byte> bytes = readFile(rows());
   Strip out;
   for (const TileInfo& a : world->tiles(0)) {
-    const auto stored = std::span(bytes).subspan(a.offset, a.stored_bytes);
-    EXPECT_TRUE(world->decodeStrip(a.id, stored, out));
+    const auto stored = std::span(bytes).subspan(a.strip.offset, a.strip.stored_bytes);
+    EXPECT_TRUE(world->decodeStrip(world->ref(a.id), stored, out));
     for (uint32_t level = 0; level < 2; ++level)
       for (const TileInfo& b : world->tiles(level))
-        EXPECT_EQ(world->decodeStrip(b.id, stored, out).has_value(), a.id == b.id);
+        EXPECT_EQ(world->decodeStrip(world->ref(b.id), stored, out).has_value(), a.id == b.id);
   }
 }
 
 TEST_F(Corruption, DecodingFailsAtEveryLengthButTheRightOne) {
-  auto world = World::open(manifest());
+  auto world = WholeWorld::open(manifest());
   ASSERT_TRUE(world);
   const std::vector<std::byte> bytes = readFile(rows());
   const TileInfo tile = world->tiles(0)[0];
   Strip out;
-  for (size_t n = 0; n < tile.stored_bytes; ++n) {
+  for (size_t n = 0; n < tile.strip.stored_bytes; ++n) {
     // A buffer of exactly n bytes, so that address sanitizers see a read past its end.
-    const std::vector<std::byte> stored(bytes.begin() + static_cast<std::ptrdiff_t>(tile.offset),
-                                        bytes.begin() + static_cast<std::ptrdiff_t>(tile.offset + n));
-    ASSERT_FALSE(world->decodeStrip(tile.id, stored, out)) << n;
+    const std::vector<std::byte> stored(bytes.begin() + static_cast<std::ptrdiff_t>(tile.strip.offset),
+                                        bytes.begin() + static_cast<std::ptrdiff_t>(tile.strip.offset + n));
+    ASSERT_FALSE(world->decodeStrip(world->ref(tile.id), stored, out)) << n;
   }
 }
 
@@ -203,16 +206,16 @@ TEST_F(Corruption, ASingleStaleStripIsNoticed) {
   RandomWorld other = makeRandomWorld(smallWorld());
   other.strips[0][1].nodes[0].area_m2 += 1;
   ASSERT_TRUE(writeWorld(other, folder_.file("other.ffm"), 1 << 28));
-  auto world = World::open(manifest());
-  auto other_world = World::open(folder_.file("other.ffm"));
+  auto world = WholeWorld::open(manifest());
+  auto other_world = WholeWorld::open(folder_.file("other.ffm"));
   ASSERT_TRUE(world && other_world);
   const TileInfo a = world->tiles(0)[1], b = other_world->tiles(0)[1];
-  ASSERT_EQ(a.offset, b.offset);
-  ASSERT_EQ(a.stored_bytes, b.stored_bytes);
+  ASSERT_EQ(a.strip.offset, b.strip.offset);
+  ASSERT_EQ(a.strip.stored_bytes, b.strip.stored_bytes);
   std::vector<std::byte> bytes = readFile(rows());
   const std::vector<std::byte> stale = readFile(shardOf(folder_.file("other.ffm")));
-  const auto begin = stale.begin() + static_cast<std::ptrdiff_t>(b.offset);
-  std::copy_n(begin, b.stored_bytes, bytes.begin() + static_cast<std::ptrdiff_t>(a.offset));
+  const auto begin = stale.begin() + static_cast<std::ptrdiff_t>(b.strip.offset);
+  std::copy_n(begin, b.strip.stored_bytes, bytes.begin() + static_cast<std::ptrdiff_t>(a.strip.offset));
   writeFile(rows(), bytes);
   EXPECT_FALSE(world->strip(a.id));
 }
@@ -240,7 +243,7 @@ TEST_F(Corruption, UnusedBytesAreIgnoredAndReservedOnesRefused) {
     return readEverything(manifest());
   };
   for (const size_t unused : {2048, 3000, 4087}) EXPECT_TRUE(withByte(unused)) << unused;
-  for (const size_t reserved : {20, 1000, 2047}) {
+  for (const size_t reserved : {16, 1000, 2047}) {
     const auto read = withByte(reserved);
     ASSERT_FALSE(read) << reserved;
     EXPECT_NE(read.error().message.find("reserved"), std::string::npos) << read.error().line();
@@ -250,11 +253,11 @@ TEST_F(Corruption, UnusedBytesAreIgnoredAndReservedOnesRefused) {
 TEST(Manifest, IsNotTakenFromOtherFiles) {
   TemporaryFolder folder;
   writeFile(folder.file("empty.ffm"), {});
-  EXPECT_EQ(World::open(folder.file("empty.ffm")).error().code, ErrorCode::kInvalidFile);
-  EXPECT_EQ(World::open(folder.file("absent.ffm")).error().code, ErrorCode::kIo);
-  EXPECT_EQ(World::open(folder.path()).error().code, ErrorCode::kIo);
+  EXPECT_EQ(WholeWorld::open(folder.file("empty.ffm")).error().code, ErrorCode::kInvalidFile);
+  EXPECT_EQ(WholeWorld::open(folder.file("absent.ffm")).error().code, ErrorCode::kIo);
+  EXPECT_EQ(WholeWorld::open(folder.path()).error().code, ErrorCode::kIo);
   writeFile(folder.file("zeros.ffm"), std::vector<std::byte>(10000));
-  EXPECT_EQ(World::open(folder.file("zeros.ffm")).error().code, ErrorCode::kInvalidFile);
+  EXPECT_EQ(WholeWorld::open(folder.file("zeros.ffm")).error().code, ErrorCode::kInvalidFile);
 }
 
 }  // namespace

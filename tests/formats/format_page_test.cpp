@@ -21,7 +21,7 @@ std::string page() {
 }
 
 size_t sizeOfType(const std::string& type) {
-  static const std::map<std::string, size_t> kSizes{{"u8", 1}, {"u16", 2}, {"u32", 4}, {"u64", 8}, {"6 f32", 24}};
+  static const std::map<std::string, size_t> kSizes{{"u8", 1}, {"u16", 2}, {"u32", 4}, {"u64", 8}, {"6 f32", 24}, {"extent", 28}};
   std::smatch bytes;
   if (std::regex_match(type, bytes, std::regex("([0-9]+) bytes"))) return std::stoul(bytes[1]);
   const auto found = kSizes.find(type);
@@ -61,14 +61,14 @@ TEST(FormatPage, RecordSizesAreThoseOfTheCode) {
   EXPECT_EQ(recordSize("3.1 "), kShardHeaderBytes);
   EXPECT_EQ(recordSize("3.2 "), writtenSize<StripHeader>());
   EXPECT_EQ(recordSize("3.2 "), kStripHeaderBytes);
-  EXPECT_EQ(recordSize("3.3 "), writtenSize<IndexRecord>());
-  EXPECT_EQ(recordSize("3.3 "), kIndexRecordBytes);
-  EXPECT_EQ(recordSize("3.5 "), writtenSize<ShardFooter>());
-  EXPECT_EQ(recordSize("3.5 "), kFooterBytes);
-  ByteWriter level;
-  const LevelInfo empty;
-  LevelRecord::fields(level, empty);
-  EXPECT_EQ(level.data().size(), kLevelRecordBytes);
+  EXPECT_EQ(recordSize("4.1 "), writtenSize<ChunkHeader>());
+  EXPECT_EQ(recordSize("4.1 "), kChunkHeaderBytes);
+  EXPECT_EQ(recordSize("4.2 "), writtenSize<TileRecord>());
+  EXPECT_EQ(recordSize("4.2 "), kTileRecordBytes);
+  EXPECT_EQ(recordSize("2.3 "), writtenSize<ExtentRecord>());
+  EXPECT_EQ(recordSize("2.3 "), kExtentBytes);
+  EXPECT_EQ(writtenSize<GeometryRecord>(), kGeometryRecordBytes);
+  EXPECT_EQ(writtenSize<LevelRecord>(), kLevelRecordBytes);
 }
 
 TEST(FormatPage, MagicsAreTheBytesItNames) {
@@ -77,14 +77,14 @@ TEST(FormatPage, MagicsAreTheBytesItNames) {
   };
   EXPECT_EQ(text(recordBytes(ManifestHeader{}), 8), "FFWORLD\n");
   EXPECT_EQ(text(recordBytes(ShardHeader{}), 8), "FFSHARD\n");
-  EXPECT_EQ(text(recordBytes(ShardFooter{}), 8), "FFSINDX\n");
+  EXPECT_EQ(text(recordBytes(ChunkHeader{}), 4), "FFCH");
   EXPECT_EQ(text(recordBytes(StripHeader{}), 4), "FFST");
   StripHeader geometry;
   geometry.magic = kGeometryMagic;
   EXPECT_EQ(text(recordBytes(geometry), 4), "FFGM");
 }
 
-// The node table of 4.1: "| 2 + 2 + 2 | u16 centroid x, y, z | ..." in payload order.
+// The node table of 5.1: "| 2 + 2 + 2 | u16 centroid x, y, z | ..." in payload order.
 TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   std::istringstream lines(page());
   std::string line;
@@ -92,7 +92,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   std::map<std::string, uint64_t> offsets;
   uint64_t end = 0;
   while (std::getline(lines, line)) {
-    if (line.starts_with("### ")) inside = line.find("4.1 ") != std::string::npos;
+    if (line.starts_with("### ")) inside = line.find("5.1 ") != std::string::npos;
     std::smatch m;
     if (!inside || !std::regex_match(line, m, std::regex("\\| ([0-9 +]+) \\| [a-z0-9]+ (sky direction|[a-z]+).*"))) continue;
     offsets[m[2]] = end;
@@ -100,7 +100,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
     for (std::string term; terms >> term;)
       if (term != "+") end += std::stoul(term);
   }
-  const StripLayout one{1, 0, 0};
+  const StripLayout one{1, 0, 0, 0};
   EXPECT_EQ(end, StripLayout::kNodeBytes);
   EXPECT_EQ(offsets.size(), 14u);
   EXPECT_EQ(offsets["area"], one.area());
@@ -119,7 +119,11 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   EXPECT_EQ(offsets["lamps"], one.lampCount());
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kNodeBytes) + " N |"), std::string::npos);
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kLampBytes) + " L |"), std::string::npos);
+  EXPECT_NE(page().find("| " + std::to_string(StripLayout::kChunkBytes) + " C |"), std::string::npos);
   EXPECT_NE(page().find("| " + std::to_string(StripLayout::kBlockBytes) + " B |"), std::string::npos);
+  EXPECT_NE(page().find("2^" + std::to_string(kChunkLog) + " cells"), std::string::npos);
+  EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkTiles) + " tiles"), std::string::npos);
+  EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkRawBytes)), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxEscapeBytes) + " E"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxRowFactor) + " times the world's"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxStripRawBytes)), std::string::npos);

@@ -1,13 +1,13 @@
 // Manifests whose checksums are right but whose content is not: hostile sizes, names, counts.
 #include <gtest/gtest.h>
-#include <zstd.h>
 
 #include <functional>
 #include <limits>
+#include <tuple>
 
 #include "formats/checksum.h"
 #include "formats/manifest.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "tests/support/furnace_world.h"
 
 namespace ff::formats {
@@ -27,9 +27,7 @@ class OpenManifest {
 
   OpenManifest() {
     TemporaryFolder folder;
-    RandomWorld w = makeFurnaceWorld(300);
-    w.grid.assign(5000, std::byte{7});
-    EXPECT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28));
+    EXPECT_TRUE(writeWorld(makeFurnaceWorld(300), folder.file("w.ffm"), 1 << 28));
     const std::vector<std::byte> bytes = readFile(folder.file("w.ffm"));
     ByteReader r(bytes);
     ManifestHeader::fields(r, header);
@@ -55,7 +53,7 @@ class OpenManifest {
       SectionRecord s = p.record;
       s.offset = offset;
       s.stored_bytes = p.bytes.size();
-      if (s.kind != kSectionGrid) s.raw_bytes = s.stored_bytes;
+      s.raw_bytes = s.stored_bytes;
       s.checksum = hashBytes(p.bytes);
       offset += s.stored_bytes;
       records.push_back(s);
@@ -95,7 +93,7 @@ void expectRefused(const std::string& message, const std::vector<std::byte>& byt
 TEST(ManifestRules, TheUntouchedManifestPasses) {
   const auto parsed = parseManifest(OpenManifest().seal());
   ASSERT_TRUE(parsed) << parsed.error().line();
-  EXPECT_EQ(parsed->grid_bytes, 5000u);
+  EXPECT_EQ(parsed->root->children.size(), 1u);
 }
 
 TEST(ManifestRules, SectionsLieInTheFile) {
@@ -137,112 +135,46 @@ TEST(ManifestRules, ShardsAreFilesBesideTheManifest) {
   EXPECT_TRUE(isPlainFileName("town.0123456789abcdef.ffs"));
 }
 
-TEST(ManifestRules, TheGridIsAsLargeAsItsFrame) {
-  // A terabyte promised by a few bytes: refused, and no terabyte taken.
+TEST(ManifestRules, LevelsAndTheRootAgree) {
+  const auto set = [](std::vector<std::byte>& bytes, size_t at, uint64_t value) { storeLittle(bytes.data() + at, value); };
+  for (const auto& [at, value, message] : std::vector<std::tuple<size_t, uint64_t, const char*>>{
+           {0, uint64_t{1} << 32, "this reader numbers"}, {0, ~uint64_t{0}, "this reader numbers"}, {0, 301, "hold other tiles and nodes of level 0"},
+           {8, 301, "cannot be"}, {kLevelRecordBytes, 149, "hold other tiles and nodes of level 1"}}) {
+    OpenManifest m;
+    set(m.part(kSectionLevels).bytes, at, value);
+    const auto parsed = parseManifest(m.seal());
+    ASSERT_FALSE(parsed) << message;
+    EXPECT_NE(parsed.error().line().find(message), std::string::npos) << parsed.error().line();
+  }
   OpenManifest m;
-  m.part(kSectionGrid).record.raw_bytes = uint64_t{1} << 40;
-  expectRefused("spatial grid", m.seal());
-  m.part(kSectionGrid).record.raw_bytes = 4999;
-  expectRefused("spatial grid", m.seal());
-  m.part(kSectionGrid).record.raw_bytes = 0;
-  expectRefused("spatial grid", m.seal());
-  m.part(kSectionGrid).record.raw_bytes = 5000;
-  m.part(kSectionGrid).bytes.push_back(std::byte{0});
-  expectRefused("spatial grid", m.seal());
-  m.part(kSectionGrid).bytes.resize(6);
-  expectRefused("spatial grid", m.seal());
-  m.part(kSectionGrid).bytes.clear();
-  expectRefused("spatial grid", m.seal());
+  m.part(kSectionLevels).bytes.clear();
+  expectRefused("0 levels", m.seal());
+  m.part(kSectionLevels).bytes.resize(17 * kLevelRecordBytes);
+  expectRefused("17 levels", m.seal());
 }
 
-// A gigabyte of zeros takes 32 kB.
-TEST(ManifestRules, TheGridTakesNoMoreMemoryThanTheWorldsPatchesAllow) {
-  const auto sealed = [](uint64_t raw_bytes) {
+TEST(ManifestRules, TheRootHoldsChunksThatCanBe) {
+  const auto refused = [](const char* message, const std::function<void(std::vector<std::byte>&)>& damage) {
     OpenManifest m;
-    const std::vector<std::byte> zeros(raw_bytes);
-    std::vector<std::byte>& bytes = m.part(kSectionGrid).bytes;
-    bytes.resize(ZSTD_compressBound(zeros.size()));
-    bytes.resize(ZSTD_compress(bytes.data(), bytes.size(), zeros.data(), zeros.size(), 1));
-    m.part(kSectionGrid).record.raw_bytes = raw_bytes;
-    return m.seal();
+    damage(m.part(kSectionRoot).bytes);
+    const auto parsed = parseManifest(m.seal());
+    ASSERT_FALSE(parsed) << message;
+    EXPECT_EQ(parsed.error().code, ErrorCode::kInvalidFile);
+    EXPECT_NE(parsed.error().line().find(message), std::string::npos) << parsed.error().line();
   };
-  const uint64_t most = (4 << 20) + 512 * 300;
-  EXPECT_TRUE(parseManifest(sealed(most)));
-  expectRefused("spatial grid has 4347905 bytes, for the world's patches 4347904 are allowed", sealed(most + 1));
-}
-
-TEST(ManifestRules, LevelsAndParentsAgree) {
-  const auto set = [](std::vector<std::byte>& bytes, size_t at, uint32_t value) { storeLittle(bytes.data() + at, value); };
-  {
-    OpenManifest m;  // four billion nodes, 40 bytes of links
-    set(m.part(kSectionLevels).bytes, 0, 0xffffffff);
-    expectRefused("cut off", m.seal());
-  }
-  {
-    OpenManifest m;
-    set(m.part(kSectionLevels).bytes, kLevelRecordBytes, 149);
-    expectRefused("parents", m.seal());
-  }
-  {
-    OpenManifest m;
-    set(m.part(kSectionLevels).bytes, 4, 301);  // more tiles than nodes
-    expectRefused("cannot be", m.seal());
-  }
-  {
-    OpenManifest m;
-    set(m.part(kSectionLevels).bytes, 28, 1);
-    expectRefused("reserved", m.seal());
-  }
-  {
-    OpenManifest m;
-    m.part(kSectionParents).bytes[0] &= std::byte{0xfe};
-    expectRefused("begin with a parent", m.seal());
-  }
-  {
-    OpenManifest m;
-    m.part(kSectionParents).bytes[7] |= std::byte{0x80};  // tiles
-    expectRefused("past the last", m.seal());
-  }
-  {
-    OpenManifest m;
-    m.part(kSectionParents).bytes[47] |= std::byte{0x80};  // nodes
-    expectRefused("past the last", m.seal());
-  }
-  {
-    OpenManifest m;
-    m.part(kSectionParents).bytes.pop_back();
-    expectRefused("cut off", m.seal());
-    m.part(kSectionParents).bytes.resize(200);
-    expectRefused("wrong length", m.seal());
-  }
-  {
-    OpenManifest m;
-    m.part(kSectionLevels).bytes.clear();
-    expectRefused("0 levels", m.seal());
-    m.part(kSectionLevels).bytes.resize(17 * kLevelRecordBytes);
-    expectRefused("17 levels", m.seal());
-  }
-}
-
-TEST(ManifestRules, EveryNodeIsTheParentOfOneFamilyAndParentsAscendWithinATile) {
-  const auto opens = [](const std::function<void(std::span<std::byte>)>& damage) {
-    TemporaryFolder folder;
-    EXPECT_TRUE(writeWorld(makeFurnaceWorld(300), folder.file("w.ffm"), 1 << 28));
-    OpenManifest m;
-    damage(std::span(m.part(kSectionParents).bytes).subspan(48));  // places
-    std::erase_if(m.parts, [](const OpenManifest::Part& p) { return p.record.kind == kSectionGrid; });
-    writeFile(folder.file("w.ffm"), m.seal());
-    const auto world = World::open(folder.file("w.ffm"));
-    if (!world) {
-      EXPECT_NE(world.error().line().find("each once and ascending"), std::string::npos) << world.error().line();
-    }
-    return world.has_value();
-  };
-  EXPECT_TRUE(opens([](auto) {}));
-  EXPECT_FALSE(opens([](auto places) { places[149] = std::byte{150}; }));            // past the tile above
-  EXPECT_FALSE(opens([](auto places) { places[149] = std::byte{0}; }));              // descends
-  EXPECT_FALSE(opens([](auto places) { std::swap(places[3], places[4]); }));
-  EXPECT_FALSE(opens([](auto places) { places[128] = places[127]; }));              // in another tile: twice
+  // Cell 12, shard 4, offset 8, stored 4, raw 4, checksum 8, bounds 24, tiles and nodes of two levels 32 bytes.
+  ASSERT_EQ(OpenManifest().part(kSectionRoot).bytes.size(), 96u);
+  refused("cut off", [](auto& b) { b.pop_back(); });
+  refused("cut off", [](auto& b) { b.push_back(std::byte{0}); });
+  refused("other tiles and nodes", [](auto& b) { b.clear(); });
+  refused("in one place", [](auto& b) {
+    const auto same = b;
+    b.insert(b.end(), same.begin(), same.end());
+  });
+  refused("impossible size", [](auto& b) { storeLittle(b.data() + 24, uint32_t{0}); });
+  refused("impossible size", [](auto& b) { storeLittle(b.data() + 28, uint32_t{kMaxChunkRawBytes + 1}); });
+  refused("bounds", [](auto& b) { storeLittle(b.data() + 40, 0x7fc00000u); });
+  refused("numbers of tiles and nodes", [](auto& b) { storeLittle(b.data() + 64, uint64_t{0}); });
 }
 
 TEST(ManifestRules, WorldInformationIsComplete) {

@@ -2,8 +2,10 @@
 #include <gtest/gtest.h>
 #include <zstd.h>
 
+#include <algorithm>
 #include <functional>
 #include <random>
+#include <tuple>
 
 #include "formats/bytes.h"
 #include "formats/checksum.h"
@@ -20,41 +22,37 @@ struct OpenStrip {
   TileInfo info;
   StripHeader header;
   std::vector<std::byte> raw;
-  std::vector<TileInfo> partners;
-  uint64_t checksum = 0;
   uint32_t quanta = 1000;  // the world's
 
-  explicit OpenStrip(const EncodedStrip& encoded, std::span<const uint32_t> tile_nodes) : info(encoded.info) {
+  explicit OpenStrip(const EncodedStrip& encoded) : info(encoded.info) {
     ByteReader r(encoded.bytes);
     StripHeader::fields(r, header);
     raw.resize(header.raw_bytes);
     const size_t n = ZSTD_decompress(raw.data(), raw.size(), encoded.bytes.data() + kStripHeaderBytes,
                                      encoded.bytes.size() - kStripHeaderBytes);
     EXPECT_EQ(n, raw.size());
-    info.shard = 3;
-    info.offset = 8192;
-    for (uint32_t nodes : tile_nodes) partners.emplace_back().nodes = nodes;
+    info.strip.shard = 3;
+    info.strip.offset = 8192;
   }
 
-  StripLayout layout() const { return {header.nodes, header.blocks, header.entries, 2}; }  // sampleStrip()'s lamps
+  StripLayout layout() const { return {header.nodes, header.chunks, header.blocks, header.entries, 2}; }  // sampleStrip()'s lamps
 
   std::vector<std::byte> seal(bool take_header = true) {
     std::vector<std::byte> payload(ZSTD_compressBound(raw.size()));
     payload.resize(ZSTD_compress(payload.data(), payload.size(), raw.data(), raw.size(), 1));
     header.payload_bytes = static_cast<uint32_t>(payload.size());
-    if (take_header) header.raw_bytes = info.raw_bytes = static_cast<uint32_t>(raw.size());
+    if (take_header) header.raw_bytes = info.strip.raw_bytes = static_cast<uint32_t>(raw.size());
     std::vector<std::byte> bytes = recordBytes(header);
     bytes.insert(bytes.end(), payload.begin(), payload.end());
-    info.stored_bytes = static_cast<uint32_t>(bytes.size());
-    checksum = mixStripChecksum(hashStripContent(bytes),
-                                {kKindRows, info.id.level, info.id.tile, info.shard, info.offset});
-    storeLittle(bytes.data() + kStripChecksumOffset, checksum);
+    info.strip.stored_bytes = static_cast<uint32_t>(bytes.size());
+    info.strip.checksum = hashBytes(bytes);
     return bytes;
   }
 
   Result<void> decode(std::span<const std::byte> bytes) const {
     Strip out;
-    return decodeStripBytes(info, checksum, partners, quanta, bytes, out);
+    std::vector<PartnerName> partners;
+    return decodeStripBytes(info, quanta, bytes, out, partners);
   }
 };
 
@@ -80,11 +78,18 @@ Strip sampleStrip() {
   return s;
 }
 
+// Tiles 0 to 2 in one chunk, 3 to 7 in the next.
+std::vector<TileName> sampleNames() {
+  std::vector<TileName> names;
+  for (uint32_t t = 0; t < 3; ++t) names.push_back({{-1, 0, 4}, t});
+  for (uint32_t t = 0; t < 5; ++t) names.push_back({{0, 0, 4}, t});
+  return names;
+}
+
 OpenStrip sample() {
-  auto encoded = encodeStrip(sampleStrip(), Box{{0, 0, 0}, {1, 1, 1}});
+  auto encoded = encodeStrip(sampleStrip(), Box{{0, 0, 0}, {1, 1, 1}}, sampleNames());
   EXPECT_TRUE(encoded) << encoded.error().line();
-  static const uint32_t kTileSizes[] = {10, 1, 1};
-  return OpenStrip(*encoded, kTileSizes);
+  return OpenStrip(*encoded);
 }
 
 void expectRefused(const std::string& message, const std::function<void(OpenStrip&)>& damage) {
@@ -94,7 +99,7 @@ void expectRefused(const std::string& message, const std::function<void(OpenStri
   const auto read = strip.decode(strip.seal());
   ASSERT_FALSE(read);
   EXPECT_EQ(read.error().code, ErrorCode::kInvalidFile);
-  EXPECT_EQ(read.error().place, "strip 1:7 at offset 8192");
+  EXPECT_EQ(read.error().place, "offset 8192");
   EXPECT_NE(read.error().message.find(message), std::string::npos) << read.error().line();
 }
 
@@ -159,19 +164,44 @@ TEST(StripRules, ARowHasAFewTimesTheWorldsSamplesAtMost) {
 
 TEST(StripRules, BlocksAreInOrderAndComplete) {
   expectRefused("repeats its partner", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 1, 0); });
-  expectRefused("names tile 3", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 1, 3); });
-  expectRefused("names tile", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 7, 0xff); });
-  expectRefused("add up", [](OpenStrip& s) { setByte(s, s.layout().blockEntries(), 9); });
-  expectRefused("add up", [](OpenStrip& s) { setByte(s, s.layout().blockEntries() + 2, 0xff); });
+  expectRefused("do not add up to the strip's entries", [](OpenStrip& s) { setByte(s, s.layout().blockEntries(), 9); });
+  expectRefused("do not add up to the strip's entries", [](OpenStrip& s) { setByte(s, s.layout().blockEntries() + 2, 0xff); });
+  expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks(), 1); });
+  expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks(), 3); });
+  expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks() + 3, 0xff); });
+}
+
+TEST(StripRules, PartnersAreNamedFromTheStripsOwnChunk) {
+  Strip strip = sampleStrip();
+  strip.blocks = {{1, 2}, {2, 1}, {6, 1}};
+  strip.rows = {0, 1, 0, 0};
+  strip.columns = {3, 4, 9, 0};
+  strip.counts = {1, 5, 7, 892};
+  const auto encoded = encodeStrip(strip, Box{{0, 0, 0}, {1, 1, 1}}, sampleNames());
+  ASSERT_TRUE(encoded) << encoded.error().line();
+  EXPECT_EQ(encoded->name, (TileName{{0, 0, 4}, 4}));
+  Strip out;
+  std::vector<PartnerName> partners;
+  ASSERT_TRUE(decodeStripBytes(encoded->info, 1000, encoded->bytes, out, partners));
+  ASSERT_EQ(partners.size(), 3u);
+  for (const auto& [k, step, tile, columns] : std::vector<std::tuple<size_t, int, uint32_t, uint32_t>>{{0, -1, 1, 5}, {1, -1, 2, 10}, {2, 0, 3, 1}}) {
+    EXPECT_EQ(partners[k].step, (ChunkCell{step, 0, 0}));
+    EXPECT_EQ(partners[k].tile, tile);
+    EXPECT_EQ(partners[k].columns, columns);
+  }
+  // The bytes are the same where the whole world is moved by chunks.
+  std::vector<TileName> moved = sampleNames();
+  for (TileName& name : moved) name.chunk[0] += 1000, name.chunk[1] -= 7;
+  const auto again = encodeStrip(strip, Box{{0, 0, 0}, {1, 1, 1}}, moved);
+  ASSERT_TRUE(again);
+  EXPECT_EQ(again->bytes, encoded->bytes);
 }
 
 TEST(StripRules, EntriesAreInOrderAndInRange) {
   expectRefused("begin with a row", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1); });
   expectRefused("row is outside", [](OpenStrip& s) { setByte(s, s.layout().marks() + 2, 5 << 3 | 5); });
   expectRefused("order", [](OpenStrip& s) { setByte(s, s.layout().columns() + 3, 0); });
-  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns() + 3, 200); });
-  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns(), 10); });
-  expectRefused("column is outside", [](OpenStrip& s) { s.partners[0].nodes = 9; });
+  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns(), 251); });  // and a step of 6
 }
 
 TEST(StripRules, EscapesAreWellFormed) {
@@ -195,16 +225,16 @@ TEST(StripRules, EscapesAreWellFormed) {
 TEST(StripRules, SizesAgree) {
   expectRefused("disagree", [](OpenStrip& s) { s.info.nodes = 3; });
   expectRefused("disagree", [](OpenStrip& s) { ++s.info.entries; });
-  expectRefused("disagree", [](OpenStrip& s) { s.info.bounds.hi.x = 2; });
+  expectRefused("contradict", [](OpenStrip& s) { s.header.chunks = 3; });
   expectRefused("contradict", [](OpenStrip& s) { s.header.blocks = 5; });
   expectRefused("contradict", [](OpenStrip& s) { s.info.nodes = s.header.nodes = 0; });
   expectRefused("contradict", [](OpenStrip& s) { s.info.nodes = s.header.nodes = 257; });
   // Sizes that would take gigabytes: refused before memory is taken, for the payload is a few hundred bytes.
   expectRefused("contradict", [](OpenStrip& s) { s.info.entries = s.header.entries = 0xffffffff; });
   OpenStrip strip = sample();
-  strip.header.raw_bytes = strip.info.raw_bytes = 0xfffffff0;
+  strip.header.raw_bytes = strip.info.strip.raw_bytes = 0xfffffff0;
   EXPECT_FALSE(strip.decode(strip.seal(false)));
-  strip.header.raw_bytes = strip.info.raw_bytes = static_cast<uint32_t>(strip.raw.size()) + 4;
+  strip.header.raw_bytes = strip.info.strip.raw_bytes = static_cast<uint32_t>(strip.raw.size()) + 4;
   EXPECT_FALSE(strip.decode(strip.seal(false)));
 }
 
@@ -215,9 +245,8 @@ TEST(StripRules, ThePayloadIsOneFrame) {
     ++strip.header.payload_bytes;
     std::vector<std::byte> head = recordBytes(strip.header);
     std::copy(head.begin(), head.end(), bytes.begin());
-    strip.info.stored_bytes = static_cast<uint32_t>(bytes.size());
-    strip.checksum = mixStripChecksum(hashStripContent(bytes), {kKindRows, 1, 7, 3, 8192});
-    storeLittle(bytes.data() + kStripChecksumOffset, strip.checksum);
+    strip.info.strip.stored_bytes = static_cast<uint32_t>(bytes.size());
+    strip.info.strip.checksum = hashBytes(bytes);
   };
   bytes.push_back(std::byte{0});
   sealAgain();
@@ -235,11 +264,10 @@ TEST(StripRules, RandomDamageIsRefusedOrHarmless) {
   settings.max_tile_nodes = 40;
   settings.quanta = 300;
   const RandomWorld w = makeRandomWorld(settings);
-  std::vector<uint32_t> tile_nodes;
-  for (const Strip& s : w.strips[0]) tile_nodes.push_back(static_cast<uint32_t>(s.nodes.size()));
-  const auto encoded = encodeStrip(w.strips[0][0], w.bounds[0][0]);
+  const auto names = nameTiles(w)[0];
+  const auto encoded = encodeStrip(w.strips[0][0], w.bounds[0][0], names);
   ASSERT_TRUE(encoded);
-  const OpenStrip whole(*encoded, tile_nodes);
+  const OpenStrip whole(*encoded);
   int accepted = 0;
   for (int i = 0; i < 4000; ++i) {
     OpenStrip strip = whole;
@@ -250,9 +278,21 @@ TEST(StripRules, RandomDamageIsRefusedOrHarmless) {
     if (random() % 8 == 0) strip.raw.resize(random() % strip.raw.size());
     const std::vector<std::byte> bytes = strip.seal();
     Strip out;
-    if (!decodeStripBytes(strip.info, strip.checksum, strip.partners, strip.quanta, bytes, out)) continue;
+    std::vector<PartnerName> partners;
+    if (!decodeStripBytes(strip.info, strip.quanta, bytes, out, partners)) continue;
+    // As World::decodeStrip resolves them; a name that is not there is refused by it.
+    bool known = true;
+    for (size_t b = 0; b < partners.size(); ++b) {
+      TileName name{names[0].chunk, partners[b].tile};
+      for (size_t a = 0; a < 3; ++a) name.chunk[a] = static_cast<int32_t>(static_cast<uint32_t>(name.chunk[a]) + static_cast<uint32_t>(partners[b].step[a]));
+      const auto at = std::ranges::find(names, name);
+      known = known && at != names.end();
+      out.blocks[b].partner_tile = static_cast<uint32_t>(at - names.begin());
+      known = known && (b == 0 || out.blocks[b].partner_tile > out.blocks[b - 1].partner_tile);
+    }
+    if (!known) continue;
     ++accepted;
-    const auto again = encodeStrip(out, strip.info.bounds);
+    const auto again = encodeStrip(out, strip.info.bounds, names);
     ASSERT_TRUE(again) << again.error().line();
   }
   EXPECT_GT(accepted, 100);  // or the damage was never subtle
@@ -264,7 +304,7 @@ TEST(Encoder, RefusesWhatTheFormatCannotHold) {
   const auto refused = [&](const std::function<void(Strip&)>& damage) {
     Strip s = sampleStrip();
     damage(s);
-    return !encodeStrip(s, box).has_value();
+    return !encodeStrip(s, box, sampleNames()).has_value();
   };
   EXPECT_FALSE(refused([](Strip&) {}));
   EXPECT_TRUE(refused([](Strip& s) { s.nodes.clear(); }));
@@ -286,6 +326,8 @@ TEST(Encoder, RefusesWhatTheFormatCannotHold) {
   EXPECT_TRUE(refused([](Strip& s) { s.columns.pop_back(); }));
   EXPECT_TRUE(refused([](Strip& s) { s.blocks.pop_back(); }));
   EXPECT_TRUE(refused([](Strip& s) { s.blocks[1].partner_tile = 0; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.blocks[1].partner_tile = 8; }));
+  EXPECT_TRUE(refused([](Strip& s) { s.id.tile = 8; }));
 }
 
 }  // namespace

@@ -4,9 +4,8 @@
 #include <filesystem>
 #include <set>
 
-#include "formats/manifest.h"
-#include "formats/parent_links.h"
-#include "formats/reader.h"
+#include "formats/records.h"
+#include "formats/whole_world.h"
 #include "formats/writer.h"
 #include "tests/support/furnace_world.h"
 
@@ -20,7 +19,7 @@ std::set<std::string> filesIn(const std::string& folder) {
 }
 
 EncodedStrip encoded(const RandomWorld& w, uint32_t level, uint32_t tile) {
-  auto e = encodeStrip(w.strips[level][tile], w.bounds[level][tile]);
+  auto e = encodeStrip(w.strips[level][tile], w.bounds[level][tile], nameTiles(w)[level]);
   EXPECT_TRUE(e) << e.error().line();
   return std::move(*e);
 }
@@ -31,8 +30,9 @@ TEST(Writer, LeavesNothingWhenItIsDroppedBeforeFinish) {
   {
     auto writer = WorldWriter::create(folder.file("w.ffm"), 5000);
     ASSERT_TRUE(writer);
-    ASSERT_TRUE(writer->addStrip(encoded(w, 2, 0)));
-    ASSERT_TRUE(writer->addGeometry(w.geometry[0]));
+    for (uint32_t level = 3; level-- > 0;)
+      for (uint32_t t = 0; t < w.strips[level].size(); ++t) ASSERT_TRUE(writer->addStrip(encoded(w, level, t)));
+    ASSERT_TRUE(writer->addGeometry(w.geometry[0], w.info));
     EXPECT_FALSE(filesIn(folder.path()).empty());
   }
   EXPECT_TRUE(filesIn(folder.path()).empty());
@@ -60,7 +60,7 @@ TEST(Writer, RemovesTheShardsOfALargerWorldThatItReplaces) {
   ASSERT_TRUE(writeWorld(w, folder.file("w.ffm"), 4200));
   EXPECT_GT(filesIn(folder.path()).size(), 5u);
   ASSERT_TRUE(writeWorld(makeFurnaceWorld(64), folder.file("w.ffm"), 1 << 28));
-  EXPECT_EQ(filesIn(folder.path()), (std::set<std::string>{fileNameOf(shardOf(folder.file("w.ffm"))), "w.ffm"}));
+  EXPECT_EQ(filesIn(folder.path()), (std::set<std::string>{fileNameOf(shardOf(folder.file("w.ffm"))), fileNameOf(shardOf(folder.file("w.ffm"), kKindIndex)), "w.ffm"}));
 }
 
 TEST(Writer, WritesTheSameBytesAgain) {
@@ -68,8 +68,8 @@ TEST(Writer, WritesTheSameBytesAgain) {
   const RandomWorld w = makeRandomWorld({});
   ASSERT_TRUE(writeWorld(w, folder.file("a.ffm"), 1 << 28));
   ASSERT_TRUE(writeWorld(makeRandomWorld({}), folder.file("b.ffm"), 1 << 28));
-  for (const bool geometry : {false, true}) {
-    const std::string a = shardOf(folder.file("a.ffm"), geometry), b = shardOf(folder.file("b.ffm"), geometry);
+  for (const uint32_t kind : {kKindRows, kKindGeometry, kKindIndex}) {
+    const std::string a = shardOf(folder.file("a.ffm"), kind), b = shardOf(folder.file("b.ffm"), kind);
     EXPECT_EQ(readFile(a), readFile(b));
     EXPECT_EQ(fileNameOf(a).substr(1), fileNameOf(b).substr(1));
   }
@@ -83,7 +83,7 @@ TEST(Writer, RefusesStripsOutOfOrder) {
     EXPECT_TRUE(writer);
     for (size_t i = 0; i + 1 < order.size(); ++i) EXPECT_TRUE(writer->addStrip(encoded(w, order[i].level, order[i].tile)));
     return !writer->addStrip(encoded(w, order.back().level, order.back().tile)) &&
-           !writer->finish(w.info, w.parents, w.cell_m, {});  // and it stays refused
+           !writer->finish(w.info, w.parents);  // and it stays refused
   };
   EXPECT_TRUE(refuses({{1, 0}, {0, 1}}));
   EXPECT_TRUE(refuses({{1, 0}, {0, 0}, {0, 0}}));
@@ -105,8 +105,7 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0][7] = 9; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0].back() = 148; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents.clear(); }));
-  EXPECT_FALSE(finishes([](RandomWorld& w) { w.cell_m.pop_back(); }));
-  EXPECT_FALSE(finishes([](RandomWorld& w) { w.cell_m[0] = 0; }));
+  EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.cell_m = 0; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.bounds = Box{}; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.cell_m = NAN; }));
   EXPECT_TRUE(finishes([](RandomWorld& w) { w.info.quanta = 299 / kMaxRowFactor + 1; }));
@@ -134,20 +133,6 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   }));
 }
 
-TEST(Writer, LeavesOutAGridThatAReaderWouldRefuse) {
-  TemporaryFolder folder;
-  RandomWorld w = makeFurnaceWorld(300);
-  for (const size_t more : {0, 1}) {
-    w.grid.assign(maxGridBytes(300) + more, std::byte{1});
-    std::vector<std::string> warnings;
-    ASSERT_TRUE(writeWorld(w, folder.file("w.ffm"), 1 << 28, posixStorage(), &warnings));
-    EXPECT_EQ(warnings.size(), more);
-    const auto world = World::open(folder.file("w.ffm"));
-    ASSERT_TRUE(world) << world.error().line();
-    EXPECT_EQ(world->spatialGrid().size(), more == 0 ? w.grid.size() : 0);
-  }
-}
-
 TEST(Writer, RefusesNamesAndFoldersAtOnce) {
   TemporaryFolder folder;
   EXPECT_EQ(WorldWriter::create(folder.file("w.bin")).error().code, ErrorCode::kUsage);
@@ -155,25 +140,28 @@ TEST(Writer, RefusesNamesAndFoldersAtOnce) {
   EXPECT_EQ(WorldWriter::create(folder.file("absent/w.ffm")).error().code, ErrorCode::kIo);
 }
 
-TEST(ParentLinks, RankAndSelectAgreeWithCounting) {
-  for (const uint32_t nodes : {1u, 63u, 64u, 65u, 1000u}) {
-    std::vector<uint64_t> words((nodes + 63) / 64);
-    std::vector<uint32_t> parents;
-    for (uint32_t i = 0; i < nodes; ++i) {
-      const bool starts = i == 0 || (i * 2654435761u >> 16) % 3 == 0 || (i > 200 && i < 400 && i % 64 == 63);
-      words[i / 64] |= uint64_t{starts} << (i % 64);
-      parents.push_back(i == 0 ? 0 : parents.back() + (starts ? 1 : 0));
-    }
-    const ParentLinks links(words, nodes);
-    ASSERT_EQ(links.parents(), parents.back() + 1);
-    for (uint32_t i = 0; i < nodes; ++i) {
-      ASSERT_EQ(links.parent(i), parents[i]) << i;
-      const auto [first, last] = links.children(parents[i]);
-      ASSERT_TRUE(first <= i && i < last);
-      ASSERT_TRUE(parents[first] == parents[i] && parents[last - 1] == parents[i]);
-      ASSERT_TRUE(last == nodes || parents[last] == parents[i] + 1);
-    }
-  }
+// Tiles must fit the tree of chunks.
+TEST(Writer, RefusesNamesThatDoNotFitTheTree) {
+  TemporaryFolder folder;
+  const RandomWorld w = makeFurnaceWorld(512);  // two tiles at level 0, one at level 1
+  const auto good = nameTiles(w);
+  const auto finishes = [&](const std::function<void(std::vector<std::vector<TileName>>&)>& damage) {
+    auto names = good;
+    damage(names);
+    auto writer = WorldWriter::create(folder.file("w.ffm"));
+    for (uint32_t level = 2; level-- > 0;)
+      for (uint32_t t = 0; t < w.strips[level].size(); ++t) {
+        auto strip = encodeStrip(w.strips[level][t], w.bounds[level][t], names[level]);
+        EXPECT_TRUE(strip) << strip.error().line();
+        if (!writer->addStrip(std::move(*strip))) return false;
+      }
+    return writer->finish(w.info, w.parents).has_value();
+  };
+  EXPECT_TRUE(finishes([](auto&) {}));
+  EXPECT_FALSE(finishes([](auto& n) { n[0][0].tile = 1; }));
+  EXPECT_FALSE(finishes([](auto& n) { n[0][1].tile = 0; }));
+  EXPECT_FALSE(finishes([](auto& n) { n[0][1].chunk[0] += 2, n[0][1].tile = 0; }));                           // of another parent
+  EXPECT_FALSE(finishes([](auto& n) { n[0][1].chunk[1] += 1, n[0][1].tile = 0; }));  // child tiles in two chunks
 }
 
 }  // namespace

@@ -1,13 +1,14 @@
 // Uses every door of the room and links ff_runtime alone: link_closure.cmake looks at what comes along.
 #include <cstdio>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"
 
 int main(int argc, char** argv) {
   if (argc < 2) return 1;
-  const auto world = ff::formats::World::open(argv[1]);
+  const auto world = ff::formats::WholeWorld::open(argv[1]);
   if (!world) return std::fprintf(stderr, "%s\n", world.error().line().c_str()), 2;
   auto streamer = ff::stream::Streamer::create(*world, {});
   if (!streamer) return 2;

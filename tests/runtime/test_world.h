@@ -7,7 +7,9 @@
 #include <set>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/local_matrix.h"
+#include "stream/strip_loader.h"
 #include "tests/support/synthetic_world.h"
 
 namespace ff::runtime {
@@ -20,21 +22,21 @@ class TestWorld {
     const std::string path = folder_.file("world.ffm");
     const auto written = formats::writeWorld(made_, path, uint64_t{1} << 20);
     if (!written) throw std::runtime_error(written.error().line());
-    auto opened = formats::World::open(path);
+    auto opened = formats::WholeWorld::open(path);
     if (!opened) throw std::runtime_error(opened.error().line());
-    world_ = std::make_unique<formats::World>(std::move(*opened));
+    world_ = std::make_unique<formats::WholeWorld>(std::move(*opened));
     for (uint32_t level = 0; level < world_->levels().size(); ++level)
       for (const formats::TileInfo& info : world_->tiles(level)) {
         auto strip = world_->strip(info.id);
         if (!strip) throw std::runtime_error(strip.error().line());
-        strips_[info.id] = *strip;
-        auto packed = stream::pack(std::move(*strip));
+        strips_[info.id] = std::move(*strip);
+        auto packed = stream::readResident(*world_, world_->ref(info.id));
         if (!packed) throw std::runtime_error(packed.error().line());
-        packed_[info.id] = std::make_shared<const stream::ResidentStrip>(std::move(*packed));
+        packed_[info.id] = std::move(*packed);
       }
   }
 
-  const formats::World& world() const { return *world_; }
+  const formats::WholeWorld& world() const { return *world_; }
   const formats::Strip& strip(formats::TileId id) const { return strips_.at(id); }
   const formats::Node& node(uint32_t level, uint32_t node) const {
     const formats::Strip& s = strip({level, world_->tileOf(level, node)});
@@ -64,7 +66,7 @@ class TestWorld {
  private:
   formats::TemporaryFolder folder_;
   formats::RandomWorld made_;
-  std::unique_ptr<formats::World> world_;
+  std::unique_ptr<formats::WholeWorld> world_;
   std::map<formats::TileId, formats::Strip> strips_;
   std::map<formats::TileId, stream::StripPtr> packed_;
 };

@@ -12,6 +12,7 @@
 #include <thread>
 
 #include "formats/memory_storage.h"
+#include "formats/whole_world.h"
 #include "tests/support/synthetic_world.h"
 
 namespace ff::stream {
@@ -23,18 +24,18 @@ struct Opened {
   explicit Opened(const SyntheticSettings& settings = {}) {
     const auto written = formats::writeWorld(makeSyntheticWorld(settings), folder.file("world.ffm"), 20000);
     EXPECT_TRUE(written) << written.error().line();
-    auto opened = formats::World::open(folder.file("world.ffm"));
+    auto opened = formats::WholeWorld::open(folder.file("world.ffm"));
     EXPECT_TRUE(opened) << opened.error().line();
-    world = std::make_unique<formats::World>(std::move(*opened));
+    world = std::make_unique<formats::WholeWorld>(std::move(*opened));
   }
   formats::TemporaryFolder folder;
-  std::unique_ptr<formats::World> world;
+  std::unique_ptr<formats::WholeWorld> world;
 };
 
 // The two implementations, by the same tests.
 class FileSource : public testing::TestWithParam<const char*> {
  protected:
-  std::unique_ptr<TileSource> make(const formats::World& world) {
+  std::unique_ptr<TileSource> make(const formats::WholeWorld& world) {
     if (std::string(GetParam()) == "threads") return makeThreadSource(world, 3);
     auto uring = makeUringSource(world);
     if (uring) return std::move(*uring);
@@ -42,6 +43,10 @@ class FileSource : public testing::TestWithParam<const char*> {
     return nullptr;
   }
 };
+
+void readTile(TileSource& source, const formats::TileInfo& tile, const formats::ReadOptions& options, TileSource::Done done) {
+  source.read(tile.id, tile.strip, options, std::move(done));
+}
 
 struct Collector {
   std::mutex mutex;
@@ -63,7 +68,7 @@ struct Collector {
 
 TEST_P(FileSource, BringsTheBytesOfEveryStripOnceFromSeveralShards) {
   const Opened opened;
-  const formats::World& world = *opened.world;
+  const formats::WholeWorld& world = *opened.world;
   ASSERT_GT(world.shards().size(), 2u);
   Collector collector;
   const auto source = make(world);
@@ -73,7 +78,7 @@ TEST_P(FileSource, BringsTheBytesOfEveryStripOnceFromSeveralShards) {
   for (int round = 0; round < 3; ++round)  // far more than a ring holds
     for (uint32_t level = 0; level < world.levels().size(); ++level)
       for (const formats::TileInfo& info : world.tiles(level)) {
-        source->read(info.id, {}, collector.callback());
+        readTile(*source, info, {}, collector.callback());
         ++asked;
       }
   ASSERT_GT(asked, 100u);
@@ -81,23 +86,23 @@ TEST_P(FileSource, BringsTheBytesOfEveryStripOnceFromSeveralShards) {
   ASSERT_EQ(collector.arrived.size(), asked);
   for (auto& [id, bytes] : collector.arrived) {
     ASSERT_TRUE(bytes) << bytes.error().line();
-    ASSERT_EQ(bytes->size(), world.tiles(id.level)[id.tile].stored_bytes);
+    ASSERT_EQ(bytes->size(), world.tiles(id.level)[id.tile].strip.stored_bytes);
     formats::Strip strip;
-    ASSERT_TRUE(world.decodeStrip(id, *bytes, strip));
+    ASSERT_TRUE(world.decodeStrip(world.ref(id), *bytes, strip));
     ASSERT_EQ(collector.arrived.count(id), 3u);
   }
 }
 
 TEST_P(FileSource, ReportsAStripThatLiesPastTheEndOfAShrunkenShard) {
   const Opened opened;
-  const formats::World& world = *opened.world;
+  const formats::WholeWorld& world = *opened.world;
   const formats::TileInfo& info = world.tiles(0).back();
-  std::filesystem::resize_file(opened.folder.file(world.shards()[info.shard].name),
-                               info.offset + info.stored_bytes / 2);
+  std::filesystem::resize_file(opened.folder.file(world.shards()[info.strip.shard].name),
+                               info.strip.offset + info.strip.stored_bytes / 2);
   Collector collector;
   const auto source = make(world);
   if (!source) GTEST_SKIP();
-  source->read(info.id, {}, collector.callback());
+  readTile(*source, info, {}, collector.callback());
   collector.await(1);
   const auto& bytes = collector.arrived.begin()->second;
   ASSERT_FALSE(bytes);
@@ -112,7 +117,7 @@ TEST_P(FileSource, AnswersEverythingBeforeItsDestructionEnds) {
     auto source = make(*opened.world);
     if (!source) GTEST_SKIP();
     for (int i = 0; i < repeat; ++i)
-      source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, {}, collector.callback());
+      readTile(*source, opened.world->tiles(0)[static_cast<size_t>(i) % 5], {}, collector.callback());
     source.reset();
     ASSERT_EQ(collector.arrived.size(), static_cast<size_t>(repeat));
   }
@@ -132,7 +137,7 @@ TEST_P(FileSource, ReadsThatAreCancelledOrLateEndWithAnError) {
                         Case{{.cancelled = &no, .deadline = now + std::chrono::hours(1)}, nullptr}}) {
     Collector collector;
     // More than the ring has places.
-    for (int i = 0; i < 200; ++i) source->read(opened.world->tiles(0)[static_cast<size_t>(i) % 5].id, c.options, collector.callback());
+    for (int i = 0; i < 200; ++i) readTile(*source, opened.world->tiles(0)[static_cast<size_t>(i) % 5], c.options, collector.callback());
     collector.await(200);
     for (const auto& [id, bytes] : collector.arrived) {
       ASSERT_EQ(bytes.has_value(), c.message == nullptr);
@@ -152,7 +157,7 @@ TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
   for (uint32_t t = 0; t < 4; ++t)
     threads.emplace_back([&, t] {
       for (uint32_t i = 0; i < 50; ++i)
-        source->read({0, (t * 50 + i) % opened.world->levels()[0].tiles}, {}, collector.callback());
+        readTile(*source, opened.world->tiles(0)[(t * 50 + i) % opened.world->levels()[0].tiles], {}, collector.callback());
     });
   for (std::thread& thread : threads) thread.join();
   collector.await(200);
@@ -162,19 +167,19 @@ TEST_P(FileSource, TakesRequestsFromSeveralThreads) {
 TEST(FileSourceOfMemory, ReadsWithThreads) {
   const auto memory = std::make_shared<formats::MemoryStorage>();
   ASSERT_TRUE(formats::writeWorld(makeSyntheticWorld({}), "world.ffm", 20000, memory));
-  const auto world = formats::World::open("world.ffm", memory);
+  const auto world = formats::WholeWorld::open("world.ffm", memory);
   ASSERT_TRUE(world) << world.error().line();
   EXPECT_FALSE(makeUringSource(*world));
   const auto source = makeFileSource(*world);
   EXPECT_STREQ(source->name(), "threads");
   Collector collector;
   const formats::TileInfo& tile = world->tiles(0).front();
-  source->read(tile.id, {}, collector.callback());
+  readTile(*source, tile, {}, collector.callback());
   collector.await(1);
   const auto& bytes = collector.arrived.begin()->second;
   ASSERT_TRUE(bytes) << bytes.error().line();
   formats::Strip strip;
-  EXPECT_TRUE(world->decodeStrip(tile.id, *bytes, strip));
+  EXPECT_TRUE(world->decodeStrip(world->ref(tile.id), *bytes, strip));
 }
 
 // As where a sandbox closes in while the program runs: the ring's descriptor is something else from one read to the next.
@@ -183,7 +188,7 @@ TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
   auto source = makeUringSource(*opened.world);
   if (!source) GTEST_SKIP() << source.error().line();
   Collector collector;
-  (*source)->read({0, 0}, {}, collector.callback());
+  readTile(**source, opened.world->tiles(0)[0], {}, collector.callback());
   collector.await(1);
   int ring = -1;
   for (const auto& entry : std::filesystem::directory_iterator("/proc/self/fd")) {
@@ -196,14 +201,14 @@ TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
   ::close(other);
   size_t asked = 1;
   for (const formats::TileInfo& info : opened.world->tiles(0)) {
-    (*source)->read(info.id, {}, collector.callback());
+    readTile(**source, info, {}, collector.callback());
     ++asked;
   }
   collector.await(asked);
   formats::Strip strip;
   for (const auto& [id, bytes] : collector.arrived) {
     ASSERT_TRUE(bytes) << bytes.error().line();
-    EXPECT_TRUE(opened.world->decodeStrip(id, *bytes, strip));
+    EXPECT_TRUE(opened.world->decodeStrip(opened.world->ref(id), *bytes, strip));
   }
 }
 

@@ -35,7 +35,7 @@ class MemorySource final : public TileSource {
     thread_.join();
   }
 
-  void read(formats::TileId id, const formats::ReadOptions&, Done done) override {
+  void read(formats::TileId id, const formats::Extent&, const formats::ReadOptions&, Done done) override {
     const std::lock_guard lock(mutex_);
     const Fate fate = fate_ ? fate_(id, attempts_[id]) : Fate::kGood;
     ++attempts_[id];

@@ -14,7 +14,6 @@ inline RandomWorld makeFurnaceWorld(uint32_t patches) {
   w.parents.resize(1);
   const Box box{{0, 0, 0}, {8, 8, 8}};
   for (uint32_t level = 0; level < 2; ++level) {
-    w.cell_m.push_back(level == 0 ? 1.0f : 2.0f);
     const uint32_t nodes = level == 0 ? patches : patches / 2;
     for (uint32_t first = 0; first < nodes; first += kTileNodes) {
       Strip s;

@@ -110,7 +110,6 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
   std::vector<uint32_t> tile_nodes;
   for (uint32_t t = 0; t < settings.level0_tiles; ++t) tile_nodes.push_back(1 + below(random, settings.max_tile_nodes));
   for (uint32_t level = 0; level < settings.levels; ++level) {
-    w.cell_m.push_back(std::ldexp(1.0f, static_cast<int>(level)));
     w.strips.emplace_back();
     w.bounds.emplace_back();
     uint32_t first_node = 0;
@@ -163,7 +162,6 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
     tile_nodes = std::move(above);
   }
   w.info.cell_m = 1;
-  w.info.grid_origin = w.info.bounds.lo;
   w.info.rays = 4096;
   w.info.quanta = settings.quanta;
   w.info.seed = settings.seed;
@@ -178,32 +176,55 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
                    {"bulb", Light::kPoint, {10, 0, 0.5f}, {1, 2, 3}, {}, 4, 0, 0},
                    {"", Light::kSpot, {1, 1, 1}, {-1, 0, 7}, {0.6f, 0, 0.8f}, 0, 0.25f, 0.5f}};
   for (uint32_t g = 0; g < kLampGroups; ++g) w.info.lamp_groups.push_back({"lamp " + std::to_string(g), {1, 2, static_cast<float>(g)}, 0.5, g});
-  for (int i = 0; i < 1000; ++i) w.grid.push_back(static_cast<std::byte>(below(random, 3)));
   return w;
+}
+
+std::vector<std::vector<TileName>> nameTiles(const RandomWorld& w) {
+  std::vector<std::vector<TileName>> names(w.strips.size());
+  for (size_t level = w.strips.size(); level-- > 0;) {
+    const bool top = level + 1 == w.strips.size();
+    for (size_t t = 0; t < w.strips[level].size(); ++t) {
+      TileName name;
+      if (top) {
+        name.chunk = {static_cast<int32_t>(t / 2) - 1, 0, 1};
+      } else {
+        const uint32_t first = w.strips[level][t].first_node, node = first < w.parents[level].size() ? w.parents[level][first] : 0;
+        size_t parent = 0;
+        while (parent + 1 < w.strips[level + 1].size() && w.strips[level + 1][parent + 1].first_node <= node) ++parent;
+        const TileName& above = names[level + 1][parent];
+        const uint32_t octant = std::min(7u, above.tile / 4);
+        for (size_t a = 0; a < 3; ++a) name.chunk[a] = 2 * above.chunk[a] + static_cast<int32_t>(octant >> a & 1);
+      }
+      if (t > 0 && names[level].back().chunk == name.chunk) name.tile = names[level].back().tile + 1;
+      names[level].push_back(name);
+    }
+  }
+  return names;
 }
 
 Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes, const StoragePtr& storage,
                         std::vector<std::string>* warnings) {
   auto writer = WorldWriter::create(path, shard_bytes, storage);
   if (!writer) return writer.error();
+  const auto names = nameTiles(world);
   for (size_t level = world.strips.size(); level-- > 0;)
     for (size_t tile = 0; tile < world.strips[level].size(); ++tile) {
-      auto encoded = encodeStrip(world.strips[level][tile], world.bounds[level][tile]);
+      auto encoded = encodeStrip(world.strips[level][tile], world.bounds[level][tile], names[level]);
       if (!encoded) return encoded.error();
       if (auto ok = writer->addStrip(std::move(*encoded)); !ok) return ok;
     }
   for (const TileGeometry& g : world.geometry)
-    if (auto ok = writer->addGeometry(g); !ok) return ok;
-  auto finished = writer->finish(world.info, world.parents, world.cell_m, world.grid);
+    if (auto ok = writer->addGeometry(g, world.info); !ok) return ok;
+  auto finished = writer->finish(world.info, world.parents);
   if (warnings) warnings->assign(writer->warnings().begin(), writer->warnings().end());
   return finished;
 }
 
-std::string shardOf(const std::string& path, bool geometry) {
+std::string shardOf(const std::string& path, uint32_t kind) {
   const auto world = World::open(path);
   if (world)
     for (const ShardInfo& shard : world->shards())
-      if (shard.geometry == geometry) return folderOf(path) + shard.name;
+      if (shard.kind == kind) return folderOf(path) + shard.name;
   return "no shard";
 }
 

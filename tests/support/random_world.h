@@ -26,16 +26,17 @@ struct RandomWorld {
   std::vector<std::vector<Strip>> strips;  // by level, tile
   std::vector<std::vector<Box>> bounds;
   std::vector<std::vector<uint32_t>> parents;
-  std::vector<float> cell_m;
   std::vector<TileGeometry> geometry;
-  std::vector<std::byte> grid;
 };
+
+// Names that fit the tree of tiles, by level and tile: two tiles of the coarsest level a chunk, a quarter of a chunk's child tiles a child.
+std::vector<std::vector<TileName>> nameTiles(const RandomWorld& world);
 
 RandomWorld makeRandomWorld(const RandomWorldSettings& settings);
 Result<void> writeWorld(const RandomWorld& world, const std::string& path, uint64_t shard_bytes,
                         const StoragePtr& storage = posixStorage(), std::vector<std::string>* warnings = nullptr);
-// Path of the first shard of a kind, of a world that can be opened.
-std::string shardOf(const std::string& path, bool geometry = false);
+// Path of the first shard of a kind (records.h), of a world whose manifest can be read.
+std::string shardOf(const std::string& path, uint32_t kind = 0);
 
 // A fresh folder that is removed at the end of the test.
 class TemporaryFolder {

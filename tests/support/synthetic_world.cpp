@@ -231,10 +231,8 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
   const std::vector<uint32_t> none;
   for (uint32_t l = 0; l < settings.levels; ++l) {
     addStrips(levels[l], l, starts[l], l + 1 < settings.levels ? world.parents[l] : none, world);
-    world.cell_m.push_back(static_cast<float>(1u << l));
   }
   world.info.cell_m = 1;
-  world.info.grid_origin = world.info.bounds.lo;
   world.info.rays = settings.quanta;
   // A row of the top has the sum of its patches' samples.
   uint32_t most = 0;

@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "tests/support/furnace_world.h"
 #include "tools/inspect/world_check.h"
 
@@ -62,7 +62,7 @@ TEST_F(Inspect, VerifiesABalancedWorld) {
 }
 
 TEST_F(Inspect, ComparesEveryPairOnce) {
-  auto w = World::open(world());
+  auto w = WholeWorld::open(world());
   ASSERT_TRUE(w);
   for (const int threads : {1, 3}) {
     const WorldCheck check = checkWorld(*w, threads, nullptr);
@@ -75,20 +75,20 @@ TEST_F(Inspect, ComparesEveryPairOnce) {
 }
 
 TEST_F(Inspect, NamesStripAndOffsetOfAChangedByte) {
-  auto w = World::open(world());
+  auto w = WholeWorld::open(world());
   ASSERT_TRUE(w);
   const TileInfo tile = w->tiles(0)[1];
   const std::string shard = shardOf(world());
   std::vector<std::byte> bytes = readFile(shard);
-  bytes[tile.offset + tile.stored_bytes / 2] ^= std::byte{1};
+  bytes[tile.strip.offset + tile.strip.stored_bytes / 2] ^= std::byte{1};
   writeFile(shard, bytes);
   const Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 3) << run.text;
-  EXPECT_NE(run.text.find("strip 0:1 at offset " + std::to_string(tile.offset)), std::string::npos) << run.text;
-  EXPECT_EQ(run.text.find("strip 0:0"), std::string::npos) << run.text;  // only that one
+  EXPECT_NE(run.text.find("tile 1 of chunk -2,0,2 of level 0, strip at offset " + std::to_string(tile.strip.offset)), std::string::npos) << run.text;
+  EXPECT_EQ(run.text.find("tile 0 of chunk -2,0,2 of level 0"), std::string::npos) << run.text;  // only that one
   EXPECT_EQ(inspect("verify --json " + world()).code, 3);
-  EXPECT_EQ(inspect("row " + world() + " 0 5").code, 0);    // other strips can still be looked at
-  EXPECT_EQ(inspect("row " + world() + " 0 299").code, 3);
+  EXPECT_EQ(inspect("row " + world() + " 0 -2,0,2 0 5").code, 0);    // other strips can still be looked at
+  EXPECT_EQ(inspect("row " + world() + " 0 -2,0,2 1 43").code, 3);
 }
 
 // Row 280 gives ten of its quanta for patch 7 to patch 8: closed, in order, and wrong. Each pair of the two loses
@@ -113,8 +113,8 @@ TEST_F(Inspect, FindsARowThatContradictsItsPartner) {
   write(w);
   const Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4) << run.text;
-  EXPECT_NE(run.text.find("nodes 8 and 280 disagree"), std::string::npos) << run.text;
-  const Outcome pair = inspect("pair --json " + world() + " 0 280 8");
+  EXPECT_NE(run.text.find("nodes -2,0,2 0 8 and -2,0,2 1 24 disagree"), std::string::npos) << run.text;
+  const Outcome pair = inspect("pair --json " + world() + " 0 -2,0,2 1 24 -2,0,2 0 8");
   EXPECT_EQ(pair.code, 0);
   const auto json = nlohmann::json::parse(pair.text);
   EXPECT_EQ(json["count_ij"], 11);
@@ -153,7 +153,7 @@ TEST_F(Inspect, FindsAPyramidThatDoesNotAddUp) {
   write(w);
   Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4) << run.text;
-  EXPECT_NE(run.text.find("strip 1:0"), std::string::npos) << run.text;
+  EXPECT_NE(run.text.find("tile 0 of chunk -1,0,1 of level 1"), std::string::npos) << run.text;
   EXPECT_NE(run.text.find("node 17: area"), std::string::npos) << run.text;
   w = makeFurnaceWorld(300);
   w.strips[0][1].nodes[2].emission = {0, 0, 1};
@@ -211,7 +211,7 @@ TEST_F(Inspect, FindsLampsThatDoNotAddUp) {
   write(w);
   run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4);
-  EXPECT_NE(run.text.find("node 129: is of another lamp group than its child 259"), std::string::npos) << run.text;
+  EXPECT_NE(run.text.find("node 129: is of another lamp group than its child -2,0,2 1 3"), std::string::npos) << run.text;
   w = worldWithLamps();
   w.strips[0][1].lamps[3].group = 1;
   write(w);
@@ -226,13 +226,13 @@ TEST_F(Inspect, ShowsLampGroupsAndWhatANodeGetsOfThem) {
   const auto groups = nlohmann::json::parse(inspect("info --json " + world()).text)["lamp_groups"];
   ASSERT_EQ(groups.size(), 1u);
   EXPECT_EQ(groups[0]["name"], "candle");
-  EXPECT_NE(inspect("row " + world() + " 0 7").text.find("0 \"candle\": 0.25 0 0 of its emission arrives"), std::string::npos);
-  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 1 3").text);
+  EXPECT_NE(inspect("row " + world() + " 0 -2,0,2 0 7").text.find("0 \"candle\": 0.25 0 0 of its emission arrives"), std::string::npos);
+  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 1 -1,0,1 0 3").text);
   ASSERT_EQ(row["lamps"].size(), 1u);
   EXPECT_EQ(row["lamps"][0]["name"], "candle");
   EXPECT_EQ(row["lamps"][0]["weight"][0], 0.375);
   EXPECT_EQ(row["lamp_group"], 0);
-  EXPECT_EQ(nlohmann::json::parse(inspect("tile --json " + world() + " 0 1").text)["nodes"][1]["lamps"].size(), 1u);
+  EXPECT_EQ(nlohmann::json::parse(inspect("tile --json " + world() + " 0 -2,0,2 1").text)["nodes"][1]["lamps"].size(), 1u);
 }
 
 TEST_F(Inspect, ListsTheLightsOfTheFile) {
@@ -248,7 +248,7 @@ TEST_F(Inspect, ListsTheLightsOfTheFile) {
 }
 
 TEST_F(Inspect, PrintsJsonThatParses) {
-  for (const char* command : {"info %", "stats %", "verify %", "row % 0 299", "row % 1 3", "tile % 0 1", "pair % 1 3 3",
+  for (const char* command : {"info %", "stats %", "verify %", "row % 0 -2,0,2 1 43", "row % 1 -1,0,1 0 3", "tile % 0 -2,0,2 1", "pair % 1 -1,0,1 0 3 -1,0,1 0 3",
                               "locate % 1 2 3", "locate % -5 2 3"}) {
     std::string arguments = command;
     arguments.replace(arguments.find('%'), 1, world());
@@ -257,11 +257,14 @@ TEST_F(Inspect, PrintsJsonThatParses) {
     EXPECT_TRUE(nlohmann::json::accept(run.text)) << command << run.text;
     EXPECT_EQ(inspect(arguments).code, 0) << command;
   }
-  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 0 299").text);
+  const auto row = nlohmann::json::parse(inspect("row --json " + world() + " 0 -2,0,2 1 43").text);
   EXPECT_EQ(row["entries"].size(), 299u);
-  EXPECT_EQ(row["entries"][0]["column"], 0);
-  EXPECT_EQ(row["parent"], 149);
-  EXPECT_EQ(nlohmann::json::parse(inspect("locate --json " + world() + " 3 0 0").text)["node"], 3);
+  EXPECT_EQ(row["entries"][0]["column"], (nlohmann::json{{"level", 0}, {"chunk", {-2, 0, 2}}, {"tile", 0}, {"index", 0}}));
+  EXPECT_EQ(row["parent"], (nlohmann::json{{"level", 1}, {"chunk", {-1, 0, 1}}, {"tile", 0}, {"index", 149}}));
+  const auto above = nlohmann::json::parse(inspect("row --json " + world() + " 1 -1,0,1 0 149").text);
+  EXPECT_EQ(above["children"]["first"], (nlohmann::json{{"level", 0}, {"chunk", {-2, 0, 2}}, {"tile", 1}, {"index", 42}}));
+  EXPECT_EQ(above["children"]["count"], 2);
+  EXPECT_EQ(nlohmann::json::parse(inspect("locate --json " + world() + " 3 0 0").text)["name"]["index"], 3);
 }
 
 TEST_F(Inspect, ExportsRowsAndPatches) {
@@ -306,9 +309,11 @@ TEST_F(Inspect, UsesTheExitCodesOfAllTools) {
   EXPECT_EQ(inspect("").code, 1);
   EXPECT_EQ(inspect("verify").code, 1);
   EXPECT_EQ(inspect("frobnicate " + world()).code, 1);
-  EXPECT_EQ(inspect("row " + world() + " 0 300").code, 1);
-  EXPECT_EQ(inspect("row " + world() + " 2 0").code, 1);
-  EXPECT_EQ(inspect("tile " + world() + " 0 2").code, 1);
+  EXPECT_EQ(inspect("row " + world() + " 0 -2,0,2 1 44").code, 1);
+  EXPECT_EQ(inspect("row " + world() + " 2 -2,0,2 0 0").code, 1);
+  EXPECT_EQ(inspect("tile " + world() + " 0 -2,0,2 2").code, 1);
+  EXPECT_EQ(inspect("tile " + world() + " 0 5,0,2 0").code, 1);
+  EXPECT_EQ(inspect("tile " + world() + " 0 5,0 0").code, 1);
   EXPECT_EQ(inspect("info " + folder_.file("absent.ffm")).code, 2);
   writeFile(folder_.file("bad.ffm"), std::vector<std::byte>(200));
   EXPECT_EQ(inspect("info " + folder_.file("bad.ffm")).code, 3);

@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <utility>
 
+#include "formats/whole_world.h"
+
 namespace ff::chart {
 
 Result<BakedScene> BakedScene::bake(const bake::Scene& scene, const bake::BakeSettings& settings) {
@@ -19,9 +21,9 @@ Result<BakedScene> BakedScene::bake(const bake::Scene& scene, const bake::BakeSe
   auto stats = bake::bakeWorld(scene, settings, path);
   if (!stats) return stats.error();
   baked.stats_ = std::move(*stats);
-  auto world = formats::World::open(path);
+  auto world = formats::WholeWorld::open(path);
   if (!world) return world.error();
-  baked.world_ = std::make_unique<formats::World>(std::move(*world));
+  baked.world_ = std::make_unique<formats::WholeWorld>(std::move(*world));
   return baked;
 }
 

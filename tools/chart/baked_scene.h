@@ -4,7 +4,7 @@
 #include <string>
 
 #include "bake/bake.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 
 namespace ff::chart {
 
@@ -16,13 +16,13 @@ class BakedScene {
   BakedScene& operator=(BakedScene&&) noexcept;
   ~BakedScene();
 
-  const formats::World& world() const { return *world_; }
+  const formats::WholeWorld& world() const { return *world_; }
   const bake::BakeStats& stats() const { return stats_; }
 
  private:
   BakedScene() = default;
   std::string folder_;
-  std::unique_ptr<formats::World> world_;
+  std::unique_ptr<formats::WholeWorld> world_;
   bake::BakeStats stats_;
 };
 

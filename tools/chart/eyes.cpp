@@ -1,11 +1,12 @@
 #include "tools/chart/eyes.h"
 
+#include "formats/whole_world.h"
 #include "tools/view/camera.h"
 
 namespace ff::chart {
 namespace {
 
-Result<view::CameraPath> pathOf(const std::string& camera, const formats::World& world) {
+Result<view::CameraPath> pathOf(const std::string& camera, const formats::WholeWorld& world) {
   if (!camera.empty()) return view::readCamera(camera);
   const auto scene = view::loadScene(world);
   if (!scene) return scene.error();
@@ -14,7 +15,7 @@ Result<view::CameraPath> pathOf(const std::string& camera, const formats::World&
 
 }  // namespace
 
-Result<std::vector<Vec3>> eyesOf(const std::string& camera, const formats::World& world, int count) {
+Result<std::vector<Vec3>> eyesOf(const std::string& camera, const formats::WholeWorld& world, int count) {
   const auto path = pathOf(camera, world);
   if (!path) return path.error();
   std::vector<Vec3> eyes;

@@ -3,7 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
+
 
 namespace ff::chart {
 
@@ -11,6 +12,6 @@ inline constexpr int kEyes = 8;
 
 // Along a camera path, evenly over its time, both ends as well. camera: a file, or empty: the path that ffview would find in
 // the world. Errors: those of the file; a world without drawing geometry.
-Result<std::vector<Vec3>> eyesOf(const std::string& camera, const formats::World& world, int count = kEyes);
+Result<std::vector<Vec3>> eyesOf(const std::string& camera, const formats::WholeWorld& world, int count = kEyes);
 
 }  // namespace ff::chart

@@ -4,7 +4,8 @@
 #include <filesystem>
 #include <fstream>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
+
 
 namespace ff::chart {
 
@@ -17,7 +18,7 @@ Result<KeptBake> keptBake(const bake::Scene& scene, const bake::BakeSettings& se
   const bool from_a_file = scene.content_hash != decltype(scene.content_hash){};
   const auto clean = bake::cleanUp(scene, settings.cleanup);
   if (!clean) return clean.error();
-  if (const auto there = formats::World::open(path); there && from_a_file)
+  if (const auto there = formats::WholeWorld::open(path); there && from_a_file)
     if (there->info().bake_key == bake::bakeKey(clean->scene ? *clean->scene : scene, settings, settings.cell_m > 0 ? settings.cell_m : there->info().cell_m))
       if (std::ifstream in(timed); in >> kept.seconds) return kept;
   const auto start = Clock::now();

@@ -4,6 +4,8 @@
 #include <numeric>
 #include <utility>
 
+#include "formats/whole_world.h"
+
 namespace ff::chart {
 
 using namespace runtime;
@@ -16,7 +18,7 @@ uint32_t Neighbourhood::activePatches() const {
   return patches;
 }
 
-Result<Neighbourhood> neighbourhoodAt(const formats::World& world, const WorldTruth& truth, Vec3 observer,
+Result<Neighbourhood> neighbourhoodAt(const formats::WholeWorld& world, const WorldTruth& truth, Vec3 observer,
                                       const stream::StreamSettings& settings) {
   auto streamer = stream::Streamer::create(world, settings);
   if (!streamer) return streamer.error();
@@ -39,7 +41,7 @@ Result<void> lightUp(const LocalMatrix& matrix, std::span<const Vec4> source, So
 
 Result<void> lightUp(const Neighbourhood& there, Solver& solver) { return lightUp(there.pyramid->matrix(), there.source, solver); }
 
-Result<LocalPatches> localPatches(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there) {
+Result<LocalPatches> localPatches(const formats::WholeWorld& world, const WorldTruth& truth, const Neighbourhood& there) {
   auto matrix = buildLocalMatrix(world, there.streamer->active(), FarLight::kConstant);
   if (!matrix) return matrix.error();
   LocalPatches l;

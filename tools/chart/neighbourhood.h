@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/matrix_assembler.h"
 #include "tools/chart/walks.h"
 #include "tools/chart/world_truth.h"
@@ -22,7 +23,7 @@ struct Neighbourhood {
 };
 
 // All that is wanted there has been read. The world and the truth must outlive it.
-Result<Neighbourhood> neighbourhoodAt(const formats::World& world, const WorldTruth& truth, Vec3 observer,
+Result<Neighbourhood> neighbourhoodAt(const formats::WholeWorld& world, const WorldTruth& truth, Vec3 observer,
                                       const stream::StreamSettings& settings);
 
 // The solver with a matrix, its light (by slot), and radiosity that starts from the light; the matrix must outlive it.
@@ -39,7 +40,7 @@ struct LocalPatches {
   uint32_t patches() const { return static_cast<uint32_t>(slots.size()); }
 };
 
-Result<LocalPatches> localPatches(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there);
+Result<LocalPatches> localPatches(const formats::WholeWorld& world, const WorldTruth& truth, const Neighbourhood& there);
 
 // Patches 0 .. patches - 1 enter in blocks.
 Result<void> fillMatrix(runtime::BounceMatrix& matrix, walks::Placement& placement, uint32_t patches, uint32_t block);

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "bake/rays/ray_caster.h"
+#include "formats/whole_world.h"
 
 namespace ff::chart {
 namespace {
@@ -20,7 +21,7 @@ void evenPoint(int i, float& u, float& v) {
 
 }  // namespace
 
-Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun, Vec3 irradiance) {
+Result<std::vector<Vec3>> sunIrradiance(const formats::WholeWorld& world, Vec3 to_sun, Vec3 irradiance) {
   bake::Scene scene;
   scene.materials.emplace_back();
   constexpr uint32_t kSealed = 0xffffffffu;

@@ -2,12 +2,13 @@
 #pragma once
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
+
 
 namespace ff::chart {
 
 // Irradiance per level-0 node, W/m2; irradiance: of a surface that faces the sun. 16 shadow rays a patch.
 // Errors: unreadable geometry, Embree.
-Result<std::vector<Vec3>> sunIrradiance(const formats::World& world, Vec3 to_sun, Vec3 irradiance);
+Result<std::vector<Vec3>> sunIrradiance(const formats::WholeWorld& world, Vec3 to_sun, Vec3 irradiance);
 
 }  // namespace ff::chart

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "formats/whole_world.h"
 #include "runtime/full_solve.h"
 #include "tools/chart/outside.h"
 #include "tools/chart/sun_light.h"
@@ -11,7 +12,7 @@ namespace ff::chart {
 
 using namespace runtime;
 
-Result<WorldTruth> solveWorldTruth(const formats::World& world, bool lamps) {
+Result<WorldTruth> solveWorldTruth(const formats::WholeWorld& world, bool lamps) {
   WorldTruth t;
   t.lamps = Lamps(world.info());
   if (!lamps) t.lamps.setAll({});
@@ -70,7 +71,7 @@ Vec4 meanOutside(const WorldTruth& truth, const LocalMatrix& matrix) {
   return Outside(truth.areas_m2.size(), matrix.tiles).meanRadiosity(truth.areas_m2, truth.radiosity);
 }
 
-std::vector<Vec4> sourceOf(const WorldTruth& truth, const formats::World& world, const LocalMatrix& matrix,
+std::vector<Vec4> sourceOf(const WorldTruth& truth, const formats::WholeWorld& world, const LocalMatrix& matrix,
                            std::span<const stream::StripPtr> active) {
   std::vector<Vec4> source(matrix.slots());
   std::vector<Vec3> lamps;

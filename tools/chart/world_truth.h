@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/updater.h"
 
@@ -22,7 +23,7 @@ struct WorldTruth {
 };
 
 // lamps: what surfaces emit lights them, too. Errors: unreadable strips or geometry.
-Result<WorldTruth> solveWorldTruth(const formats::World& world, bool lamps);
+Result<WorldTruth> solveWorldTruth(const formats::WholeWorld& world, bool lamps);
 
 // Sums over patches and channels of a comparison with the truth.
 struct Difference {
@@ -57,7 +58,7 @@ Difference compare(const WorldTruth& truth, const runtime::LocalMatrix& matrix,
 runtime::Vec4 meanOutside(const WorldTruth& truth, const runtime::LocalMatrix& matrix);
 
 // M per slot of the matrix under the truth's light. active: what the matrix was built from.
-std::vector<runtime::Vec4> sourceOf(const WorldTruth& truth, const formats::World& world,
+std::vector<runtime::Vec4> sourceOf(const WorldTruth& truth, const formats::WholeWorld& world,
                                     const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active);
 
 // Eyes half a cell off patches that are spread evenly over the world's order: streets, fields, roofs and rooms.

@@ -7,6 +7,7 @@
 #include <memory>
 
 #include "formats/bytes.h"
+#include "formats/whole_world.h"
 #include "tools/inspect/inspect.h"
 
 namespace ff::tools {
@@ -39,7 +40,7 @@ class OutputFile {
 };
 
 // Calls visit for every strip of a level.
-Result<void> eachStrip(const World& world, uint32_t level, const std::function<void(const Strip&)>& visit) {
+Result<void> eachStrip(const WholeWorld& world, uint32_t level, const std::function<void(const Strip&)>& visit) {
   for (const TileInfo& tile : world.tiles(level)) {
     auto strip = world.strip(tile.id);
     if (!strip) return strip.error();
@@ -49,7 +50,7 @@ Result<void> eachStrip(const World& world, uint32_t level, const std::function<v
 }
 
 // visit(row, column, count, quanta), node numbers, by (tile, partner tile, row, column).
-Result<void> eachEntry(const World& world, uint32_t level,
+Result<void> eachEntry(const WholeWorld& world, uint32_t level,
                        const std::function<void(uint32_t, uint32_t, uint16_t, uint32_t)>& visit) {
   return eachStrip(world, level, [&](const Strip& s) {
     size_t e = 0;
@@ -74,7 +75,7 @@ std::string npyHeader(const std::string& descr, uint64_t length) {
   return head + dict;
 }
 
-Result<void> rowsMtx(const World& world, uint32_t level, OutputFile& file) {
+Result<void> rowsMtx(const WholeWorld& world, uint32_t level, OutputFile& file) {
   const LevelInfo& info = world.levels()[level];
   file.write(fmt::format("%%MatrixMarket matrix coordinate real general\n% form factors, level {} of {}\n{} {} {}\n", level,
                          world.info().scene, info.nodes, info.nodes, info.entries));
@@ -83,7 +84,7 @@ Result<void> rowsMtx(const World& world, uint32_t level, OutputFile& file) {
   });
 }
 
-Result<void> rowsNpy(const World& world, uint32_t level, OutputFile& file) {
+Result<void> rowsNpy(const WholeWorld& world, uint32_t level, OutputFile& file) {
   file.write(npyHeader("('row', '<u4'), ('column', '<u4'), ('count', '<u2'), ('quanta', '<u2')", world.levels()[level].entries));
   return eachEntry(world, level, [&](uint32_t row, uint32_t column, uint16_t count, uint32_t quanta) {
     ByteWriter w;
@@ -92,7 +93,7 @@ Result<void> rowsNpy(const World& world, uint32_t level, OutputFile& file) {
   });
 }
 
-Result<void> patchesNpy(const World& world, uint32_t level, OutputFile& file) {
+Result<void> patchesNpy(const WholeWorld& world, uint32_t level, OutputFile& file) {
   file.write(npyHeader("('area_m2', '<f4'), ('centroid', '<f4', (3,)), ('normal', '<f4', (3,)), ('albedo', '<f4', (3,)), "
                        "('emission', '<f4', (3,)), ('sky_direction', '<f4', (3,)), ('parent', '<u4'), ('quanta', '<u4'), "
                        "('sky', '<u4'), ('absorbed', '<u4'), ('row_total', '<f4'), ('sky_fraction', '<f4'), "
@@ -110,7 +111,7 @@ Result<void> patchesNpy(const World& world, uint32_t level, OutputFile& file) {
   });
 }
 
-Result<void> lampsNpy(const World& world, uint32_t level, OutputFile& file) {
+Result<void> lampsNpy(const WholeWorld& world, uint32_t level, OutputFile& file) {
   uint64_t lamps = 0;  // a first pass, because the header wants their number
   if (auto ok = eachStrip(world, level, [&](const Strip& s) { lamps += s.lamps.size(); }); !ok) return ok;
   file.write(npyHeader("('node', '<u4'), ('group', '<u4'), ('weight', '<f4', (3,))", lamps));
@@ -138,7 +139,7 @@ std::string plyHeader(uint64_t vertices, const std::string& more) {
                      vertices, more);
 }
 
-Result<void> patchesPly(const World& world, uint32_t level, OutputFile& file) {
+Result<void> patchesPly(const WholeWorld& world, uint32_t level, OutputFile& file) {
   file.write(plyHeader(world.levels()[level].nodes, ""));
   return eachStrip(world, level, [&](const Strip& s) {
     ByteWriter w;
@@ -147,7 +148,7 @@ Result<void> patchesPly(const World& world, uint32_t level, OutputFile& file) {
   });
 }
 
-Result<void> geometryPly(const World& world, OutputFile& file) {
+Result<void> geometryPly(const WholeWorld& world, OutputFile& file) {
   // A header first: two passes, because PLY wants the number of triangles before the triangles.
   uint64_t triangles = 0;
   for (uint32_t t = 0; t < world.tiles(0).size(); ++t) {
@@ -160,7 +161,7 @@ Result<void> geometryPly(const World& world, OutputFile& file) {
   file.write(plyHeader(3 * triangles, fmt::format("element face {}\nproperty list uchar uint vertex_indices\n", triangles)));
   for (uint32_t t = 0; t < world.tiles(0).size(); ++t) {
     auto geometry = world.geometry(t);
-    auto strip = world.strip({0, t});
+    auto strip = world.strip(TileId{0, t});
     if (!geometry) return geometry.error();
     if (!strip) return strip.error();
     ByteWriter w;
@@ -176,7 +177,7 @@ Result<void> geometryPly(const World& world, OutputFile& file) {
 
 }  // namespace
 
-Result<void> inspectExport(const World& world, const ExportRequest& request, const InspectOutput& out) {
+Result<void> inspectExport(const WholeWorld& world, const ExportRequest& request, const InspectOutput& out) {
   if (auto ok = checkLevel(world, request.level); !ok) return ok;
   const std::string kind = request.what + " as " + request.format;
   std::function<Result<void>(OutputFile&)> write;

@@ -2,7 +2,8 @@
 
 #include <bit>
 
-#include "formats/model.h"
+#include "formats/records.h"
+#include "formats/whole_world.h"
 #include "tools/inspect/inspect.h"
 
 namespace ff::tools {
@@ -12,10 +13,10 @@ using nlohmann::json;
 
 namespace {
 
-uint64_t shardBytes(const World& world, bool geometry) {
+uint64_t shardBytes(const World& world, uint32_t kind) {
   uint64_t bytes = 0;
   for (const ShardInfo& s : world.shards())
-    if (s.geometry == geometry) bytes += s.bytes;
+    if (s.kind == kind) bytes += s.bytes;
   return bytes;
 }
 
@@ -39,6 +40,7 @@ double pyramidRatio(const World& world) {
   return ratio(all, static_cast<double>(world.levels()[0].stored_bytes));
 }
 
+constexpr const char* kShardNames[] = {"rows", "geometry", "index"};
 constexpr const char* kLightKinds[] = {"directional", "point", "spot"};
 
 json lightJson(const Light& light) {
@@ -98,7 +100,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
     json levels = json::array(), shards = json::array();
     for (uint32_t l = 0; l < world.levels().size(); ++l) levels.push_back(levelJson(world, l));
     for (const ShardInfo& s : world.shards())
-      shards.push_back({{"name", s.name}, {"bytes", s.bytes}, {"geometry", s.geometry}});
+      shards.push_back({{"name", s.name}, {"bytes", s.bytes}, {"kind", kShardNames[s.kind]}});
     json lights = json::array();
     for (const Light& light : info.lights) lights.push_back(lightJson(light));
     fmt::print(out.to, "{}\n",
@@ -106,7 +108,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"generator", info.generator},
                     {"scene", info.scene},
                     {"cell_m", info.cell_m},
-                    {"grid_origin", toJson(info.grid_origin)},
+                    {"origin", info.origin},
                     {"bounds", toJson(info.bounds)},
                     {"rays", info.rays},
                     {"quanta", info.quanta},
@@ -117,7 +119,6 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"triangles", info.triangles},
                     {"absorbed_fraction", info.absorbed_fraction},
                     {"pyramid_over_level0", pyramidRatio(world)},
-                    {"spatial_grid_bytes", world.spatialGrid().size()},
                     {"lamp_groups", lampGroupsJson(info.lamp_groups)},
                     {"lights", lights},
                     {"levels", levels},
@@ -137,13 +138,15 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
              100 * static_cast<double>(info.row_total_deviation));
   printLampGroups(info.lamp_groups, out.to);
   printLights(info.lights, out.to);
-  fmt::print(out.to, "files        {} shards, rows {} bytes, geometry {} bytes, spatial grid {} bytes in memory\n\n",
-             world.shards().size(), shardBytes(world, false), shardBytes(world, true), world.spatialGrid().size());
+  if (info.origin != std::array<double, 3>{})
+    fmt::print(out.to, "origin       {} {} {} m in the scene's file: coordinates here count from there\n", info.origin[0], info.origin[1], info.origin[2]);
+  fmt::print(out.to, "files        {} shards, rows {} bytes, geometry {} bytes, index {} bytes\n\n", world.shards().size(),
+             shardBytes(world, kKindRows), shardBytes(world, kKindGeometry), shardBytes(world, kKindIndex));
   printLevels(world, out.to);
   return {};
 }
 
-Result<void> inspectStats(const World& world, const InspectOutput& out) {
+Result<void> inspectStats(const WholeWorld& world, const InspectOutput& out) {
   struct LevelStats {
     std::vector<uint64_t> rows_by_entries = std::vector<uint64_t>(18);  // bin k: 2^(k-1) .. 2^k - 1 entries; bin 0: none
     std::vector<uint64_t> entries_by_count = std::vector<uint64_t>(17);  // bin k: counts 2^k .. 2^(k+1) - 1
@@ -169,9 +172,10 @@ Result<void> inspectStats(const World& world, const InspectOutput& out) {
       }
     }
   const double patches = world.levels()[0].nodes;
-  const double index = static_cast<double>(world.levels()[0].tiles) * 64 / patches;
-  const double strips = static_cast<double>(world.levels()[0].stored_bytes) / patches - index;
-  const double geometry = static_cast<double>(shardBytes(world, true)) / patches;
+  double strip_bytes = 0;
+  for (const TileInfo& tile : world.tiles(0)) strip_bytes += tile.strip.stored_bytes;
+  const double strips = strip_bytes / patches, index = static_cast<double>(world.levels()[0].stored_bytes) / patches - strips;
+  const double geometry = static_cast<double>(shardBytes(world, kKindGeometry)) / patches;
   double upper = -static_cast<double>(world.levels()[0].stored_bytes);
   for (const LevelInfo& l : world.levels()) upper += static_cast<double>(l.stored_bytes);
   upper /= patches;

@@ -6,7 +6,8 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
+
 
 namespace ff::tools {
 
@@ -15,16 +16,24 @@ struct InspectOutput {
   std::FILE* to = stdout;
 };
 
+// A node by its name: nothing in it depends on what lies in other chunks.
+struct NodeName {
+  uint32_t level = 0;
+  formats::TileName tile;
+  uint32_t index = 0;  // within the tile
+};
+
 // One screen: what the world is, its levels and files.
 Result<void> inspectInfo(const formats::World& world, const InspectOutput& out);
 // Reads every strip: entries per row, bytes by part, where the quanta go.
-Result<void> inspectStats(const formats::World& world, const InspectOutput& out);
+Result<void> inspectStats(const formats::WholeWorld& world, const InspectOutput& out);
 
-Result<void> inspectRow(const formats::World& world, uint32_t level, uint32_t node, const InspectOutput& out);
-Result<void> inspectTile(const formats::World& world, formats::TileId id, const InspectOutput& out);
-// Both directions of one pair, and whether they agree.
-Result<void> inspectPair(const formats::World& world, uint32_t level, uint32_t i, uint32_t j, const InspectOutput& out);
-// The cell, tile and nearest patch of a point.
+// These read the index of what they look at, and no more of it. Errors: kUsage where nothing has that name.
+Result<void> inspectRow(const formats::World& world, const NodeName& node, const InspectOutput& out);
+Result<void> inspectTile(const formats::World& world, uint32_t level, const formats::TileName& tile, const InspectOutput& out);
+// Both directions of one pair, and whether they agree. Nodes of one level.
+Result<void> inspectPair(const formats::World& world, const NodeName& i, const NodeName& j, const InspectOutput& out);
+// The nearest patch of a point, and its name.
 Result<void> inspectLocate(const formats::World& world, Vec3 point, const InspectOutput& out);
 
 struct ExportRequest {
@@ -33,10 +42,10 @@ struct ExportRequest {
   uint32_t level = 0;
   std::string path;
 };
-Result<void> inspectExport(const formats::World& world, const ExportRequest& request, const InspectOutput& out);
+Result<void> inspectExport(const formats::WholeWorld& world, const ExportRequest& request, const InspectOutput& out);
 
 // Prints the report of verifyWorld (world_check.h). The code returned is that of the worst finding.
-Result<void> inspectVerify(const formats::World& world, int threads, bool quiet, const InspectOutput& out);
+Result<void> inspectVerify(const formats::WholeWorld& world, int threads, bool quiet, const InspectOutput& out);
 
 // JSON of common things, and refusals.
 nlohmann::json toJson(Vec3 v);
@@ -44,8 +53,5 @@ nlohmann::json toJson(const Box& box);
 nlohmann::json toJson(const formats::Node& node);
 std::string hexText(std::span<const uint8_t> bytes);
 Result<void> checkLevel(const formats::World& world, uint32_t level);
-Result<void> checkNode(const formats::World& world, uint32_t level, uint32_t node);
-// The strip that holds a node; the node's index in it is node - first_node.
-Result<formats::Strip> stripOfNode(const formats::World& world, uint32_t level, uint32_t node);
 
 }  // namespace ff::tools

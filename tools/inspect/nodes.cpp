@@ -1,9 +1,10 @@
 #include <fmt/core.h>
 #include <fmt/ranges.h>
-#include <nanovdb/NanoVDB.h>
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <queue>
 
 #include "tools/inspect/inspect.h"
 #include "tools/inspect/world_check.h"
@@ -22,7 +23,6 @@ json toJson(const Node& n) {
           {"normal", toJson(n.normal)},
           {"albedo", toJson(n.albedo)},
           {"emission", toJson(n.emission)},
-          {"parent", n.parent == kNoParent ? json() : json(n.parent)},
           {"quanta", n.quanta},
           {"sky", n.sky},
           {"absorbed", n.absorbed},
@@ -50,34 +50,66 @@ Result<void> checkLevel(const World& world, uint32_t level) {
                "the world has " + std::to_string(world.levels().size()) + " levels", "levels count from 0"};
 }
 
-Result<void> checkNode(const World& world, uint32_t level, uint32_t node) {
-  if (auto ok = checkLevel(world, level); !ok) return ok;
-  if (node < world.levels()[level].nodes) return {};
-  return Error{ErrorCode::kUsage, world.path(), "node " + std::to_string(node),
-               "level " + std::to_string(level) + " has " + std::to_string(world.levels()[level].nodes) + " nodes",
-               "nodes count from 0"};
-}
-
-Result<Strip> stripOfNode(const World& world, uint32_t level, uint32_t node) {
-  if (auto ok = checkNode(world, level, node); !ok) return ok.error();
-  return world.strip({level, world.tileOf(level, node)});
-}
-
 namespace {
 
+std::string textOf(const ChunkCell& cell) { return fmt::format("{},{},{}", cell[0], cell[1], cell[2]); }
+std::string textOf(const NodeName& node) { return fmt::format("{} {} {}", textOf(node.tile.chunk), node.tile.tile, node.index); }
+json toJson(const NodeName& node) { return {{"level", node.level}, {"chunk", node.tile.chunk}, {"tile", node.tile.tile}, {"index", node.index}}; }
+NodeName nameOf(const TileRef& tile, uint32_t index) { return {tile.id().level, tile.name(), index}; }
+
+struct NamedStrip {
+  TileRef tile;
+  Strip strip;
+  World::PartnerChunks chunks;  // by block
+};
+
+Result<NamedStrip> readStrip(const World& world, uint32_t level, const TileName& name) {
+  auto tile = world.tile(level, name);
+  if (!tile) return tile.error();
+  NamedStrip out;
+  out.tile = *tile;
+  std::vector<std::byte> stored(tile->info().strip.stored_bytes);
+  if (auto ok = world.readStored(tile->info().strip, stored); !ok) return ok.error();
+  if (auto ok = world.decodeStrip(*tile, stored, out.strip, &out.chunks); !ok) return ok.error();
+  return out;
+}
+
+Result<NamedStrip> readStrip(const World& world, const NodeName& node) {
+  auto strip = readStrip(world, node.level, node.tile);
+  if (strip && node.index >= strip->strip.nodes.size())
+    return Error{ErrorCode::kUsage, world.path(), tileText(strip->tile), "has " + std::to_string(strip->strip.nodes.size()) + " nodes", "nodes count from 0"};
+  return strip;
+}
+
 struct RowEntry {
-  uint32_t column = 0;  // node number
+  NodeName column;
+  uint32_t number = 0;  // of the column within its level
   uint16_t count = 0;
 };
 
-std::vector<RowEntry> rowEntries(const World& world, const Strip& strip, uint32_t row) {
+std::vector<RowEntry> rowEntries(const NamedStrip& s, uint32_t row) {
   std::vector<RowEntry> entries;
   size_t e = 0;
-  for (const Block& block : strip.blocks)
-    for (const size_t end = e + block.entries; e < end; ++e)
-      if (strip.rows[e] == row)
-        entries.push_back({world.tiles(strip.id.level)[block.partner_tile].first_node + strip.columns[e], strip.counts[e]});
+  for (size_t b = 0; b < s.strip.blocks.size(); ++b) {
+    const TileRef partner{s.chunks[b], s.strip.blocks[b].partner_tile - s.chunks[b]->firstTile()};
+    for (const size_t end = e + s.strip.blocks[b].entries; e < end; ++e)
+      if (s.strip.rows[e] == row)
+        entries.push_back({nameOf(partner, s.strip.columns[e]), partner.info().first_node + s.strip.columns[e], s.strip.counts[e]});
+  }
   return entries;
+}
+
+// The name of the first of a node's children, which follow each other, and how many they are; level >= 1.
+Result<std::pair<NodeName, uint32_t>> childrenOf(const World& world, const TileRef& tile, uint32_t index) {
+  const auto below = world.childTiles(tile);
+  if (!below) return below.error();
+  for (uint32_t t = below->first; t < below->end; ++t) {
+    const TileRef child{below->chunk, t};
+    const auto parents = child.parentIndex();
+    const auto [first, end] = std::ranges::equal_range(parents, index);
+    if (first != end) return std::pair{nameOf(child, static_cast<uint32_t>(first - parents.begin())), static_cast<uint32_t>(end - first)};
+  }
+  return Error{ErrorCode::kInvalidFile, world.path(), tileText(tile), "has a node without children", "bake again"};
 }
 
 void printVec(std::FILE* to, const char* name, Vec3 v) { fmt::print(to, "{:<14}{:.6g} {:.6g} {:.6g}\n", name, v.x, v.y, v.z); }
@@ -93,7 +125,7 @@ std::vector<LampLight> lampsOf(const Strip& strip, uint32_t row) {
 json lampsJson(const World& world, std::span<const LampLight> lamps) {
   json list = json::array();
   for (const LampLight& lamp : lamps)
-    list.push_back({{"group", lamp.group}, {"name", groupName(world, lamp.group)}, {"weight", toJson(lamp.weight)}});
+    list.push_back({{"group", lamp.group}, {"name", groupName(world, lamp.group)}, {"weight", ff::tools::toJson(lamp.weight)}});
   return list;
 }
 
@@ -104,7 +136,6 @@ void printNode(std::FILE* to, const World& world, const Node& n) {
   printVec(to, "albedo", n.albedo);
   printVec(to, "emission", n.emission);
   if (n.lamp_group != kNoLampGroup) fmt::print(to, "{:<14}{} \"{}\"\n", "lamp_group", n.lamp_group, groupName(world, n.lamp_group));
-  if (n.parent != kNoParent) fmt::print(to, "{:<14}{}\n", "parent", n.parent);
   fmt::print(to, "{:<14}{} = sky {} + absorbed {} + entries {}\n", "quanta", n.quanta, n.sky, n.absorbed,
              n.quanta - n.sky - n.absorbed);
   fmt::print(to, "{:<14}{:.6g}\n", "row_total", n.row_total);
@@ -115,65 +146,68 @@ void printNode(std::FILE* to, const World& world, const Node& n) {
 
 }  // namespace
 
-Result<void> inspectRow(const World& world, uint32_t level, uint32_t node, const InspectOutput& out) {
-  auto strip = stripOfNode(world, level, node);
+Result<void> inspectRow(const World& world, const NodeName& node, const InspectOutput& out) {
+  const auto strip = readStrip(world, node);
   if (!strip) return strip.error();
-  const uint32_t index = node - strip->first_node;
-  const Node& n = strip->nodes[index];
-  const std::vector<RowEntry> entries = rowEntries(world, *strip, index);
+  const Node& n = strip->strip.nodes[node.index];
+  const std::vector<RowEntry> entries = rowEntries(*strip, node.index);
+  const bool top = strip->tile.chunk->isTop();
+  std::optional<std::pair<NodeName, uint32_t>> children;
+  if (node.level > 0) {
+    auto found = childrenOf(world, strip->tile, node.index);
+    if (!found) return found.error();
+    children = *found;
+  }
+  const auto parent = [&] { return nameOf(strip->tile.parent(), strip->tile.parentIndex()[node.index]); };
   if (out.json) {
     json j = toJson(n);
-    j["level"] = level;
-    j["node"] = node;
-    j["tile"] = strip->id.tile;
-    if (level > 0) j["children"] = {world.children(level, node).first, world.children(level, node).second};
-    j["lamps"] = lampsJson(world, lampsOf(*strip, index));
+    j["name"] = toJson(node);
+    j["parent"] = top ? json() : toJson(parent());
+    if (children) j["children"] = {{"first", toJson(children->first)}, {"count", children->second}};
+    j["lamps"] = lampsJson(world, lampsOf(strip->strip, node.index));
     j["entries"] = json::array();
     for (const RowEntry& e : entries)
-      j["entries"].push_back({{"column", e.column}, {"count", e.count}, {"form_factor", static_cast<double>(e.count) / n.quanta}});
+      j["entries"].push_back({{"column", toJson(e.column)}, {"count", e.count}, {"form_factor", static_cast<double>(e.count) / n.quanta}});
     fmt::print(out.to, "{}\n", j.dump());
     return {};
   }
-  fmt::print(out.to, "node {} of level {}, in tile {}\n", node, level, strip->id.tile);
+  fmt::print(out.to, "node {} of {}\n", node.index, tileText(strip->tile));
   printNode(out.to, world, n);
-  if (level > 0) {
-    const auto [first, last] = world.children(level, node);
-    fmt::print(out.to, "{:<14}{} to {} of level {}\n", "children", first, last - 1, level - 1);
-  }
-  for (const LampLight& lamp : lampsOf(*strip, index))
+  if (!top) fmt::print(out.to, "{:<14}{} {}\n", "parent", node.level + 1, textOf(parent()));
+  if (children)
+    fmt::print(out.to, "{:<14}{} {} to {}\n", "children", node.level - 1, textOf(children->first), children->first.index + children->second - 1);
+  for (const LampLight& lamp : lampsOf(strip->strip, node.index))
     fmt::print(out.to, "{:<14}{} \"{}\": {:.6g} {:.6g} {:.6g} of its emission arrives\n", "lamp", lamp.group,
                groupName(world, lamp.group), lamp.weight.x, lamp.weight.y, lamp.weight.z);
-  fmt::print(out.to, "\n{:>10} {:>6} {:>12} {:>8}\n", "column", "count", "form factor", "tile");
+  fmt::print(out.to, "\n{:>12} {:>5} {:>5} {:>6} {:>12}\n", "chunk", "tile", "index", "count", "form factor");
   for (const RowEntry& e : entries)
-    fmt::print(out.to, "{:>10} {:>6} {:>12.6f} {:>8}\n", e.column, e.count, static_cast<double>(e.count) / n.quanta,
-               world.tileOf(level, e.column));
+    fmt::print(out.to, "{:>12} {:>5} {:>5} {:>6} {:>12.6f}\n", textOf(e.column.tile.chunk), e.column.tile.tile, e.column.index, e.count,
+               static_cast<double>(e.count) / n.quanta);
   return {};
 }
 
-Result<void> inspectTile(const World& world, TileId id, const InspectOutput& out) {
-  if (auto ok = checkLevel(world, id.level); !ok) return ok;
-  if (id.tile >= world.tiles(id.level).size())
-    return Error{ErrorCode::kUsage, world.path(), "tile " + std::to_string(id.tile),
-                 "level " + std::to_string(id.level) + " has " + std::to_string(world.tiles(id.level).size()) + " tiles",
-                 "tiles count from 0"};
-  const TileInfo& info = world.tiles(id.level)[id.tile];
-  auto strip = world.strip(id);
-  if (!strip) return strip.error();
+Result<void> inspectTile(const World& world, uint32_t level, const TileName& name, const InspectOutput& out) {
+  const auto read = readStrip(world, level, name);
+  if (!read) return read.error();
+  const Strip* const strip = &read->strip;
+  const TileInfo& info = read->tile.info();
+  const Extent& extent = info.strip;
   if (out.json) {
     json nodes = json::array(), blocks = json::array();
     for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
       nodes.push_back(toJson(strip->nodes[i]));
       nodes.back()["lamps"] = lampsJson(world, lampsOf(*strip, i));
     }
-    for (const Block& b : strip->blocks) blocks.push_back({{"partner_tile", b.partner_tile}, {"entries", b.entries}});
+    for (size_t b = 0; b < strip->blocks.size(); ++b)
+      blocks.push_back({{"chunk", read->chunks[b]->cell}, {"tile", strip->blocks[b].partner_tile - read->chunks[b]->firstTile()}, {"entries", strip->blocks[b].entries}});
     fmt::print(out.to, "{}\n",
-               json{{"level", id.level},
-                    {"tile", id.tile},
-                    {"shard", world.shards()[info.shard].name},
-                    {"offset", info.offset},
-                    {"stored_bytes", info.stored_bytes},
-                    {"raw_bytes", info.raw_bytes},
-                    {"first_node", info.first_node},
+               json{{"level", level},
+                    {"chunk", name.chunk},
+                    {"tile", name.tile},
+                    {"shard", world.shards()[extent.shard].name},
+                    {"offset", extent.offset},
+                    {"stored_bytes", extent.stored_bytes},
+                    {"raw_bytes", extent.raw_bytes},
                     {"entries", info.entries},
                     {"bounds", toJson(info.bounds)},
                     {"nodes", nodes},
@@ -181,17 +215,16 @@ Result<void> inspectTile(const World& world, TileId id, const InspectOutput& out
                    .dump());
     return {};
   }
-  fmt::print(out.to, "tile {}:{} in {} at offset {}: {} bytes stored, {} raw\n", id.level, id.tile,
-             world.shards()[info.shard].name, info.offset, info.stored_bytes, info.raw_bytes);
-  fmt::print(out.to, "nodes {} to {}, {} entries in {} blocks\n", info.first_node, info.first_node + info.nodes - 1,
-             info.entries, strip->blocks.size());
+  fmt::print(out.to, "{}, in {} at offset {}: {} bytes stored, {} raw\n", tileText(read->tile), world.shards()[extent.shard].name, extent.offset,
+             extent.stored_bytes, extent.raw_bytes);
+  fmt::print(out.to, "{} nodes, {} entries in {} blocks\n", info.nodes, info.entries, strip->blocks.size());
   printVec(out.to, "bounds lo", info.bounds.lo);
   printVec(out.to, "bounds hi", info.bounds.hi);
-  fmt::print(out.to, "\n{:>9} {:>10} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8} {:>6} {:>6}\n", "node", "area_m2", "centroid", "normal",
+  fmt::print(out.to, "\n{:>5} {:>10} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8} {:>6} {:>6}\n", "index", "area_m2", "centroid", "normal",
              "albedo", "quanta", "sky", "absorbed", "sky %", "total", "lamps");
   for (size_t i = 0; i < strip->nodes.size(); ++i) {
     const Node& n = strip->nodes[i];
-    fmt::print(out.to, "{:>9} {:>10.4g} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8.3f} {:>6.3f} {:>6}\n", strip->first_node + i, n.area_m2,
+    fmt::print(out.to, "{:>5} {:>10.4g} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8.3f} {:>6.3f} {:>6}\n", i, n.area_m2,
                fmt::format("{:.2f} {:.2f} {:.2f}", n.centroid.x, n.centroid.y, n.centroid.z),
                fmt::format("{:.2f} {:.2f} {:.2f}", n.normal.x, n.normal.y, n.normal.z),
                fmt::format("{:.3f} {:.3f} {:.3f}", n.albedo.x, n.albedo.y, n.albedo.z), n.quanta, n.sky, n.absorbed,
@@ -200,99 +233,88 @@ Result<void> inspectTile(const World& world, TileId id, const InspectOutput& out
   return {};
 }
 
-Result<void> inspectPair(const World& world, uint32_t level, uint32_t i, uint32_t j, const InspectOutput& out) {
-  auto strip_i = stripOfNode(world, level, i);
+Result<void> inspectPair(const World& world, const NodeName& i, const NodeName& j, const InspectOutput& out) {
+  const auto strip_i = readStrip(world, i);
   if (!strip_i) return strip_i.error();
-  auto strip_j = stripOfNode(world, level, j);
+  const auto strip_j = readStrip(world, j);
   if (!strip_j) return strip_j.error();
-  const auto countOf = [&](const Strip& strip, uint32_t row, uint32_t column) -> uint32_t {
-    for (const RowEntry& e : rowEntries(world, strip, row - strip.first_node))
-      if (e.column == column) return e.count;
+  const auto numberOf = [](const NamedStrip& s, const NodeName& node) { return s.strip.first_node + node.index; };
+  const auto countOf = [](const NamedStrip& strip, uint32_t row, uint32_t column) -> uint32_t {
+    for (const RowEntry& e : rowEntries(strip, row))
+      if (e.number == column) return e.count;
     return 0;
   };
-  const Node &a = strip_i->nodes[i - strip_i->first_node], &b = strip_j->nodes[j - strip_j->first_node];
-  const uint32_t n_ij = countOf(*strip_i, i, j), n_ji = countOf(*strip_j, j, i);
+  const uint32_t level = i.level;
+  const Node &a = strip_i->strip.nodes[i.index], &b = strip_j->strip.nodes[j.index];
+  const uint32_t n_ij = countOf(*strip_i, i.index, numberOf(*strip_j, j)), n_ji = countOf(*strip_j, j.index, numberOf(*strip_i, i));
   const auto endOf = [](const Node& n, uint32_t count) {
     return PairEnd{static_cast<double>(n.area_m2), static_cast<double>(n.row_total), n.quanta, count};
   };
-  const PairCheck p = checkPair(level, i, j, endOf(a, n_ij), endOf(b, n_ji));
+  const PairCheck p = checkPair(level, numberOf(*strip_i, i), numberOf(*strip_j, j), endOf(a, n_ij), endOf(b, n_ji));
   const double f_ij = a.quanta > 0 ? static_cast<double>(n_ij) / a.quanta : 0;
   const double f_ji = b.quanta > 0 ? static_cast<double>(n_ji) / b.quanta : 0;
   const double distance = static_cast<double>(length(a.centroid - b.centroid));
   if (out.json) {
     fmt::print(out.to, "{}\n",
-               json{{"level", level}, {"i", i}, {"j", j}, {"count_ij", n_ij}, {"count_ji", n_ji}, {"form_factor_ij", f_ij},
+               json{{"i", toJson(i)}, {"j", toJson(j)}, {"count_ij", n_ij}, {"count_ji", n_ji}, {"form_factor_ij", f_ij},
                     {"form_factor_ji", f_ji}, {"x_ij_m2", p.x_ij}, {"x_ji_m2", p.x_ji}, {"allowed_m2", p.bound},
                     {"of_allowed", p.ratio()}, {"distance_m", distance}}
                    .dump());
     return {};
   }
-  fmt::print(out.to, "F {} <- {}   {:.6f}  ({} of {}), X = {:.6g} m2\n", i, j, f_ij, n_ij, a.quanta, p.x_ij);
-  fmt::print(out.to, "F {} <- {}   {:.6f}  ({} of {}), X = {:.6g} m2\n", j, i, f_ji, n_ji, b.quanta, p.x_ji);
+  fmt::print(out.to, "F {} <- {}   {:.6f}  ({} of {}), X = {:.6g} m2\n", textOf(i), textOf(j), f_ij, n_ij, a.quanta, p.x_ij);
+  fmt::print(out.to, "F {} <- {}   {:.6f}  ({} of {}), X = {:.6g} m2\n", textOf(j), textOf(i), f_ji, n_ji, b.quanta, p.x_ji);
   fmt::print(out.to, "difference {:.6g} m2, {:.0f} % of what sampling allows; centroids {:.4g} m apart\n",
              std::abs(p.x_ij - p.x_ji), 100 * p.ratio(), distance);
   return {};
 }
 
-namespace {
-
-// 1 + tile of the cell; 0 if there is none, or no usable grid.
-int32_t gridValue(const World& world, const std::array<int32_t, 3>& cell) {
-  const auto bytes = world.spatialGrid();
-  if (bytes.size() < sizeof(nanovdb::GridData)) return 0;
-  const auto* grid = reinterpret_cast<const nanovdb::NanoGrid<int32_t>*>(bytes.data());
-  if (!grid->isValid() || grid->gridType() != nanovdb::GridType::Int32 || grid->gridSize() > bytes.size()) return 0;
-  return grid->getAccessor().getValue(nanovdb::Coord(cell[0], cell[1], cell[2]));
-}
-
-}  // namespace
-
+// The nearest patch: chunks and tiles are opened in the order of their distance, until none can be nearer than what was found.
 Result<void> inspectLocate(const World& world, Vec3 point, const InspectOutput& out) {
-  const WorldInfo& info = world.info();
-  std::array<int32_t, 3> cell{};
-  for (int c = 0; c < 3; ++c) {
-    const float v = std::floor((point[c] - info.grid_origin[c]) / info.cell_m);
-    if (!(std::abs(v) < 2e9f))
-      return Error{ErrorCode::kUsage, "", "locate", "coordinates are too large", "give metres, as in the bounds of info"};
-    cell[static_cast<size_t>(c)] = static_cast<int32_t>(v);
-  }
-  const int32_t value = gridValue(world, cell);
-  const auto tiles = world.tiles(0);
-  // A cell's patches follow each other, so they may go on in the next tile. Where the cell is empty, all tiles are
-  // candidates, nearest first.
-  std::vector<uint32_t> candidates;
-  if (value > 0 && static_cast<uint32_t>(value) <= tiles.size()) {
-    candidates.push_back(static_cast<uint32_t>(value) - 1);
-    if (static_cast<uint32_t>(value) < tiles.size()) candidates.push_back(static_cast<uint32_t>(value));
-  } else {
-    for (uint32_t t = 0; t < tiles.size(); ++t) candidates.push_back(t);
-    std::stable_sort(candidates.begin(), candidates.end(), [&](uint32_t a, uint32_t b) {
-      return tiles[a].bounds.distance(point) < tiles[b].bounds.distance(point);
-    });
-  }
-  uint32_t best = 0;
+  struct Place {
+    float distance;
+    ChunkPtr chunk;  // of a tile; of a child that has not been read: its parent
+    uint32_t number;
+    bool child;
+    bool operator<(const Place& other) const { return distance > other.distance; }
+  };
+  std::priority_queue<Place> places;
+  const auto offerChildren = [&](const ChunkPtr& chunk) {
+    for (uint32_t k = 0; k < chunk->children.size(); ++k) places.push({chunk->children[k].bounds.distance(point), chunk, k, true});
+  };
+  offerChildren(world.root());
+  NodeName best;
   Node best_node;
   float best_distance = INFINITY;
-  for (const uint32_t t : candidates) {
-    if (tiles[t].bounds.distance(point) > best_distance) continue;
-    auto strip = world.strip({0, t});
+  while (!places.empty() && places.top().distance < best_distance) {
+    const Place place = places.top();
+    places.pop();
+    if (place.child) {
+      auto chunk = world.child(place.chunk, place.number);
+      if (!chunk) return chunk.error();
+      offerChildren(*chunk);
+      if ((*chunk)->level == 0)
+        for (uint32_t t = 0; t < (*chunk)->tiles.size(); ++t) places.push({(*chunk)->tiles[t].bounds.distance(point), *chunk, t, false});
+      continue;
+    }
+    const TileRef tile{place.chunk, place.number};
+    const auto strip = world.strip(tile);
     if (!strip) return strip.error();
     for (uint32_t i = 0; i < strip->nodes.size(); ++i)
       if (const float d = length(strip->nodes[i].centroid - point); d < best_distance) {
         best_distance = d;
-        best = strip->first_node + i;
+        best = nameOf(tile, i);
         best_node = strip->nodes[i];
       }
   }
+  if (!std::isfinite(best_distance)) return Error{ErrorCode::kUsage, "", "locate", "coordinates are too large", "give metres, as in the bounds of info"};
   if (out.json) {
-    json j{{"cell", cell}, {"cell_holds_patches", value > 0}, {"tile", world.tileOf(0, best)}, {"node", best},
-           {"distance_m", best_distance}};
+    json j{{"name", toJson(best)}, {"distance_m", best_distance}};
     j["patch"] = toJson(best_node);
     fmt::print(out.to, "{}\n", j.dump());
     return {};
   }
-  fmt::print(out.to, "cell {} {} {}{}\n", cell[0], cell[1], cell[2], value > 0 ? "" : " (holds no patches)");
-  fmt::print(out.to, "nearest patch {} in tile 0:{}, centroid {:.4g} m away\n", best, world.tileOf(0, best), best_distance);
+  fmt::print(out.to, "nearest patch {} {}: its centroid is {:.4g} m away (level, chunk, tile, index: as `row` takes it)\n", best.level, textOf(best), best_distance);
   printNode(out.to, world, best_node);
   return {};
 }

@@ -3,6 +3,7 @@
 
 #include <chrono>
 
+#include "formats/whole_world.h"
 #include "tools/inspect/inspect.h"
 #include "tools/inspect/world_check.h"
 
@@ -31,8 +32,8 @@ class Progress {
   std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now(), last_ = begin_;
 };
 
-nlohmann::json toJson(const PairCheck& p) {
-  return {{"level", p.level}, {"i", p.i},         {"j", p.j},          {"x_ij_m2", p.x_ij},
+nlohmann::json toJson(const formats::WholeWorld& world, const PairCheck& p) {
+  return {{"level", p.level}, {"i", nodeText(world, p.level, p.i)}, {"j", nodeText(world, p.level, p.j)},        {"x_ij_m2", p.x_ij},
           {"x_ji_m2", p.x_ji}, {"allowed_m2", p.bound}, {"of_allowed", p.ratio()}};
 }
 
@@ -50,7 +51,7 @@ void printFindings(std::FILE* to, const std::vector<Error>& errors) {
 
 }  // namespace
 
-Result<void> inspectVerify(const formats::World& world, int threads, bool quiet, const InspectOutput& out) {
+Result<void> inspectVerify(const formats::WholeWorld& world, int threads, bool quiet, const InspectOutput& out) {
   WorldCheck check;
   {
     Progress progress(quiet);
@@ -59,7 +60,7 @@ Result<void> inspectVerify(const formats::World& world, int threads, bool quiet,
   const bool ok = check.corrupt.empty() && check.unphysical.empty();
   if (out.json) {
     nlohmann::json worst = nlohmann::json::array();
-    for (const PairCheck& p : check.worst_pairs) worst.push_back(toJson(p));
+    for (const PairCheck& p : check.worst_pairs) worst.push_back(toJson(world, p));
     fmt::print(out.to, "{}\n",
                nlohmann::json{{"ok", ok},
                               {"strips", check.strips},
@@ -79,8 +80,8 @@ Result<void> inspectVerify(const formats::World& world, int threads, bool quiet,
     fmt::print(out.to, "strips       {} read, {} damaged\n", check.strips, check.corrupt.size());
     fmt::print(out.to, "closure      exact in {} entries\n", check.entries);
     for (const PairCheck& p : check.worst_pairs)
-      fmt::print(out.to, "reciprocity  level {}: worst pair {} {}: {:.6g} and {:.6g} m2, {:.0f} % of what sampling allows\n",
-                 p.level, p.i, p.j, p.x_ij, p.x_ji, 100 * p.ratio());
+      fmt::print(out.to, "reciprocity  level {}: worst pair {} and {}: {:.6g} and {:.6g} m2, {:.0f} % of what sampling allows\n",
+                 p.level, nodeText(world, p.level, p.i), nodeText(world, p.level, p.j), p.x_ij, p.x_ji, 100 * p.ratio());
     fmt::print(out.to, "sky          counts within {:.0f} % of what sampling allows\n", 100 * check.worst_sky);
     fmt::print(out.to, "pyramid      areas within {:.1e}, emission within {:.1e}, lamps' light within {:.1e} of their children's sums\n",
                check.worst_area, check.worst_emission, check.worst_lamps);

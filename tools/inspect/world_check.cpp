@@ -1,6 +1,5 @@
 #include "tools/inspect/world_check.h"
 
-#include <nanovdb/NanoVDB.h>
 
 #include <algorithm>
 #include <atomic>
@@ -11,6 +10,7 @@
 #include <thread>
 
 #include "formats/strip_codec.h"
+#include "formats/whole_world.h"
 
 namespace ff::tools {
 
@@ -36,7 +36,7 @@ void forEach(size_t n, int threads, const std::function<void(size_t, size_t)>& w
 
 class Progress {
  public:
-  Progress(const World& world, const std::function<void(double)>& call) : call_(call) {
+  Progress(const WholeWorld& world, const std::function<void(double)>& call) : call_(call) {
     for (const LevelInfo& level : world.levels()) total_ += 2 * level.tiles;  // decoded once, compared once
     if (world.hasGeometry()) total_ += world.levels()[0].tiles;
   }
@@ -68,13 +68,9 @@ struct Level {
 constexpr double kFractionStep = 0x1p-11;  // of two values of 12 bits
 constexpr double kDeviations = 6;
 
-std::string stripPlace(TileId id, uint64_t offset) {
-  return "strip " + std::to_string(id.level) + ":" + std::to_string(id.tile) + " at offset " + std::to_string(offset);
-}
-
 class Checker {
  public:
-  Checker(const World& world, int threads, const std::function<void(double)>& progress)
+  Checker(const WholeWorld& world, int threads, const std::function<void(double)>& progress)
       : world_(world), threads_(threads), progress_(world, progress) {}
 
   WorldCheck run() {
@@ -88,7 +84,6 @@ class Checker {
       below = std::move(level);
     }
     if (world_.hasGeometry()) readGeometry();
-    checkGrid();
     return std::move(check_);
   }
 
@@ -101,9 +96,7 @@ class Checker {
   }
 
   Error unphysical(TileId id, const std::string& message) const {
-    const TileInfo& info = world_.tiles(id.level)[id.tile];
-    return {ErrorCode::kPhysics, world_.path(),
-            stripPlace(id, info.offset) + " of " + world_.shards()[info.shard].name, message, "bake again"};
+    return {ErrorCode::kPhysics, world_.path(), tileText(world_.ref(id)), message, "bake again"};
   }
 
   Level load(uint32_t l) {
@@ -126,7 +119,7 @@ class Checker {
         level.nodes[strip->first_node + i] = strip->nodes[i];
       }
       if (const std::string group = unknownGroup(*strip); !group.empty())
-        findings[t].push_back({ErrorCode::kInvalidFile, world_.path(), stripPlace(tiles[t].id, tiles[t].offset), group,
+        findings[t].push_back({ErrorCode::kInvalidFile, world_.path(), tileText(world_.ref(tiles[t].id)), group,
                                "restore the file from a copy, or bake again"});
       level.lamps[t] = std::move(strip->lamps);
       level.tiles[t] = {std::move(strip->blocks), std::move(strip->rows), std::move(strip->columns),
@@ -168,7 +161,7 @@ class Checker {
       const uint32_t tile = world_.tileOf(l, i);
       if (tile == last_tile) continue;  // one finding a tile
       last_tile = tile;
-      check_.unphysical.push_back(unphysical({l, tile}, "node " + std::to_string(i) + ": " + std::to_string(n.sky) + " of " +
+      check_.unphysical.push_back(unphysical({l, tile}, "node " + std::to_string(i - world_.tiles(l)[tile].first_node) + ": " + std::to_string(n.sky) + " of " +
                                                             std::to_string(n.quanta) + " quanta are sky, its fraction of sky makes " +
                                                             std::to_string(expected) + " of them"));
     }
@@ -196,7 +189,7 @@ class Checker {
       if (p.ratio() > worst.ratio()) worst = p;
       if (p.ratio() > 1)
         check_.unphysical.push_back(unphysical(
-            {l, t}, "nodes " + std::to_string(p.i) + " and " + std::to_string(p.j) + " disagree: exchange areas " +
+            {l, t}, "nodes " + nodeText(world_, l, p.i) + " and " + nodeText(world_, l, p.j) + " disagree: exchange areas " +
                         std::to_string(p.x_ij) + " and " + std::to_string(p.x_ji) + " m2, allowed difference " +
                         std::to_string(p.bound)));
     }
@@ -279,7 +272,7 @@ class Checker {
       if (tile == last_tile) continue;  // one finding a tile
       last_tile = tile;
       check_.unphysical.push_back(unphysical(
-          {l, tile}, "node " + std::to_string(p) + ": " + (area_error > kSumTolerance ? "area" : "emission") +
+          {l, tile}, "node " + std::to_string(p - world_.tiles(l)[tile].first_node) + ": " + (area_error > kSumTolerance ? "area" : "emission") +
                          " is not the sum of its children's (relative difference " +
                          std::to_string(std::max(area_error, emission_error)) + ")"));
     }
@@ -316,8 +309,9 @@ class Checker {
     for (uint32_t i = 0; i < below.nodes.size(); ++i) {
       const uint32_t p = world_.parent(l - 1, i);
       if (whole[p] == 0 || !(level.area[p] > 0) || below.nodes[i].lamp_group == level.nodes[p].lamp_group) continue;
-      if (std::string& found = findings[world_.tileOf(l, p)]; found.empty())
-        found = "node " + std::to_string(p) + ": is of another lamp group than its child " + std::to_string(i);
+      const uint32_t tile = world_.tileOf(l, p);
+      if (findings[tile].empty())
+        findings[tile] = "node " + std::to_string(p - world_.tiles(l)[tile].first_node) + ": is of another lamp group than its child " + nodeText(world_, l - 1, i);
     }
     for (const auto& [key, p] : power) {
       const auto [node, group] = key;
@@ -328,8 +322,9 @@ class Checker {
         const double off = std::abs(p.sum[c] - p.mine[c]) / larger;
         check_.worst_lamps = std::max(check_.worst_lamps, off);
         if (off <= kFractionStep + kSumTolerance) continue;
-        if (std::string& found = findings[world_.tileOf(l, node)]; found.empty())
-          found = "node " + std::to_string(node) + ": light of lamp group " + std::to_string(group) +
+        const uint32_t tile = world_.tileOf(l, node);
+        if (findings[tile].empty())
+          findings[tile] = "node " + std::to_string(node - world_.tiles(l)[tile].first_node) + ": light of lamp group " + std::to_string(group) +
                   " is not the sum of its children's (relative difference " + std::to_string(off) + ")";
       }
     }
@@ -348,27 +343,20 @@ class Checker {
     check_.geometry_tiles = tiles.size();
   }
 
-  void checkGrid() {
-    const auto bytes = world_.spatialGrid();
-    if (bytes.empty()) return;
-    const auto bad = [&](const char* what) {
-      check_.corrupt.push_back(
-          {ErrorCode::kInvalidFile, world_.path(), "spatial grid", what, "restore the manifest from a copy, or bake again"});
-    };
-    if (bytes.size() < sizeof(nanovdb::GridData)) return bad("is too short");
-    const auto* grid = reinterpret_cast<const nanovdb::GridData*>(bytes.data());
-    if (grid->mMagic != NANOVDB_MAGIC_NUMBER || grid->mGridType != nanovdb::GridType::Int32 ||
-        grid->mGridSize > bytes.size())
-      bad("is not a NanoVDB grid of int32");
-  }
-
-  const World& world_;
+  const WholeWorld& world_;
   const int threads_;
   Progress progress_;
   WorldCheck check_;
 };
 
 }  // namespace
+
+std::string nodeText(const WholeWorld& world, uint32_t level, uint32_t node) {
+  const TileRef tile = world.ref({level, world.tileOf(level, node)});
+  const ChunkCell& c = tile.chunk->cell;
+  return std::to_string(c[0]) + "," + std::to_string(c[1]) + "," + std::to_string(c[2]) + " " + std::to_string(tile.index) + " " +
+         std::to_string(node - tile.info().first_node);
+}
 
 PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_i, const PairEnd& from_j) {
   const auto quantum = [](const PairEnd& e) { return e.quanta > 0 ? e.area_m2 * e.total / e.quanta : 0; };
@@ -380,7 +368,7 @@ PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_
   return p;
 }
 
-WorldCheck checkWorld(const World& world, int threads, const std::function<void(double)>& progress) {
+WorldCheck checkWorld(const WholeWorld& world, int threads, const std::function<void(double)>& progress) {
   if (threads <= 0) threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   return Checker(world, threads, progress).run();
 }

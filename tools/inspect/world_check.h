@@ -14,9 +14,10 @@
 #pragma once
 #include <cstdint>
 #include <functional>
+#include <string>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 
 namespace ff::tools {
 
@@ -35,8 +36,11 @@ struct PairCheck {
 };
 PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_i, const PairEnd& from_j);
 
+// A node by its name, as ffinspect takes it: "3,-1,0 12 5", of chunk, tile and index.
+std::string nodeText(const formats::WholeWorld& world, uint32_t level, uint32_t node);
+
 struct WorldCheck {
-  std::vector<Error> corrupt;     // kInvalidFile or kIo, by level and tile; of strips, geometry, spatial grid, lamp groups
+  std::vector<Error> corrupt;     // kInvalidFile or kIo, by level and tile; of strips, geometry, lamp groups
   std::vector<Error> unphysical;  // kPhysics, likewise; at most one per tile and kind of fault
   uint64_t strips = 0, entries = 0, pairs = 0, geometry_tiles = 0;
   std::vector<PairCheck> worst_pairs;  // one per level that has pairs
@@ -47,6 +51,6 @@ struct WorldCheck {
 
 // progress (may be null) is called from one thread at a time with a fraction 0..1. threads: 0 = all cores; the result does
 // not depend on it. Memory: 4 bytes an entry, 40 a node and 16 a lamp group that lights it, of one level.
-WorldCheck checkWorld(const formats::World& world, int threads, const std::function<void(double)>& progress);
+WorldCheck checkWorld(const formats::WholeWorld& world, int threads, const std::function<void(double)>& progress);
 
 }  // namespace ff::tools

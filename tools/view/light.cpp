@@ -2,17 +2,23 @@
 
 #include <cmath>
 
+#include "formats/whole_world.h"
+
 namespace ff::view {
 
 using runtime::kNoSlot;
 using runtime::LocalMatrix;
 using runtime::Vec4;
 
-std::vector<uint32_t> patchSlots(const formats::World& world, const LocalMatrix& matrix) {
+std::vector<uint32_t> patchSlots(const formats::WholeWorld& world, const LocalMatrix& matrix) {
   std::vector<uint32_t> slots(world.levels()[0].nodes);
-  for (uint32_t p = 0; p < slots.size(); ++p) {
-    slots[p] = runtime::slotFor(world, matrix.tiles, 0, p);
-    FF_CHECK_LT(slots[p], matrix.slots());  // the coarsest level is always active
+  for (const formats::TileInfo& info : world.tiles(0)) {
+    const formats::TileRef tile = world.ref(info.id);
+    for (uint32_t i = 0; i < info.nodes; ++i) {
+      uint32_t& slot = slots[info.first_node + i];
+      slot = runtime::slotFor(matrix.tiles, tile, i);
+      FF_CHECK_LT(slot, matrix.slots());  // the coarsest level is always active
+    }
   }
   return slots;
 }

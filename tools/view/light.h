@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "runtime/updater.h"
 #include "shaders/shared.h"
 #include "stream/streamer.h"
@@ -13,7 +13,7 @@
 namespace ff::view {
 
 // Slot of every patch, or of its nearest active ancestor.
-std::vector<uint32_t> patchSlots(const formats::World& world, const runtime::LocalMatrix& matrix);
+std::vector<uint32_t> patchSlots(const formats::WholeWorld& world, const runtime::LocalMatrix& matrix);
 
 // Irradiance of every slot from what surfaces reflect. Refined slots get the area-weighted means of their children.
 // reflected: per slot, W/m2.

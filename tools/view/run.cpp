@@ -7,6 +7,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "formats/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"
@@ -78,7 +79,7 @@ Lighting lightingFor(const RunOptions& options, const CameraPath& camera, const 
 // Everything that lasts for the whole flight. Members die in reverse order: the context goes last.
 struct Flight {
   const RunOptions& options;
-  const formats::World& world;
+  const formats::WholeWorld& world;
   std::shared_ptr<runtime::VkContext> context;
   ViewScene scene;
   DrawGeometry geometry;
@@ -281,7 +282,7 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
 }  // namespace
 
 Result<json> run(const RunOptions& options, const std::function<void(const std::string&)>& say) {
-  auto world = formats::World::open(options.world);
+  auto world = formats::WholeWorld::open(options.world);
   if (!world) return world.error();
   auto context = runtime::openVulkan(options.device);
   if (!context) return context.error();

@@ -2,11 +2,12 @@
 
 #include <span>
 
+#include "formats/whole_world.h"
 #include "runtime/lamps.h"
 
 namespace ff::view {
 
-Result<ViewScene> loadScene(const formats::World& world) {
+Result<ViewScene> loadScene(const formats::WholeWorld& world) {
   if (!world.hasGeometry())
     return Error{ErrorCode::kInvalidFile, world.path(), "", "the world has no drawing geometry", "bake it again with geometry"};
   ViewScene scene;

@@ -5,7 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/whole_world.h"
+
 
 namespace ff::view {
 
@@ -27,7 +28,7 @@ struct ViewScene {
 };
 
 // Errors: unreadable strips or geometry; a world that was baked without drawing geometry.
-Result<ViewScene> loadScene(const formats::World& world);
+Result<ViewScene> loadScene(const formats::WholeWorld& world);
 
 // Which patches light a drawing vertex; weights sum to 1, unused entries have weight 0.
 struct VertexPatches {

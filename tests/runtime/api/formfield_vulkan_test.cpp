@@ -34,7 +34,8 @@ class FormfieldVulkan : public testing::Test {
         << formfieldError(device);
     if (!world) return {};
     const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
-    const float at[3] = {16, 1, 16}, above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
+    const double at[3] = {16, 1, 16};
+    const float above[3] = {16, 3, 16}, down[3] = {0, -1, 0};
     EXPECT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
     for (uint32_t g = 0; g < 2; ++g) EXPECT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     for (int i = 0; i < 3; ++i) EXPECT_EQ(formfieldFrame(world, at, nullptr), FORMFIELD_OK) << formfieldError(device);
@@ -81,7 +82,7 @@ class FormfieldVulkan : public testing::Test {
     formfieldDestroyDevice(device_);
   }
 
-  static constexpr float kAt[3] = {16, 1, 16};
+  static constexpr double kAt[3] = {16, 1, 16};
   static constexpr float kScales[2][3] = {{0, 0, 0}, {0.5f, 1, 2}};  // of two lamp groups; the third is as baked
   TestWorld test_;
   FormfieldVulkanSettings settings_{};
@@ -181,7 +182,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     for (uint32_t g = 0; frame == 30 && g < 2; ++g)  // a switch in mid-flight
       ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     // In from afar, then still: cuts change while frames are in flight.
-    const float at[3] = {std::max(16.0f, 28 - 0.2f * static_cast<float>(frame)), 1, 16};
+    const double at[3] = {std::max(16.0, 28 - 0.2 * frame), 1, 16};
     ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
     ASSERT_EQ(vkEndCommandBuffer(commands[ring]), VK_SUCCESS);
     auto submit = zeroed<VkSubmitInfo>(VK_STRUCTURE_TYPE_SUBMIT_INFO);

@@ -33,7 +33,7 @@ TEST(PageTable, ResolvesEveryNodeOfEveryTileAsAWalkUpTheParentsDoes) {
     for (const SlotRange& range : matrix.tiles) pages.setActive(range.id, range.first_slot);
     for (uint32_t level = 0; level < test.world().levels().size(); ++level)
       for (const formats::TileInfo& info : test.world().tiles(level)) {
-        const uint32_t number = pages.hold(info.id);
+        const uint32_t number = pages.hold(*test.world().ref(info.id).chunk, info.id.tile);
         pages.refresh();
         for (uint32_t i = 0; i < info.nodes; ++i)
           ASSERT_EQ(pages.page(number)[i], resolveByWalking(test, matrix, level, info.first_node + i))

@@ -7,6 +7,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
+#include "formats/whole_world.h"
 #include "runtime/probes/facet_scene.h"
 #include "tests/runtime/probes/radiance_oracle.h"
 #include "tests/support/analytic_scenes.h"
@@ -34,18 +35,18 @@ class Folder {
   std::filesystem::path path_;
 };
 
-formats::World baked(const bake::Scene& scene, float cell_m, const std::string& path, uint32_t rays = 256) {
+formats::WholeWorld baked(const bake::Scene& scene, float cell_m, const std::string& path, uint32_t rays = 256) {
   const auto stats = bake::bakeWorld(scene, {.cell_m = cell_m, .rays = rays, .quanta = 256}, path);
   if (!stats) throw std::runtime_error(stats.error().line());
-  auto world = formats::World::open(path);
+  auto world = formats::WholeWorld::open(path);
   if (!world) throw std::runtime_error(world.error().line());
   return std::move(*world);
 }
 
 // Made once: baking is the slow part.
-const formats::World& town() {
+const formats::WholeWorld& town() {
   static const Folder folder;
-  static const formats::World world = [] {
+  static const formats::WholeWorld world = [] {
     const auto made = tools::makeTown({.patches = 6000, .seed = 3});
     if (!made || !tools::writeGlb(tools::townModel(*made, false), folder.file("town.glb")))
       throw std::runtime_error("no town");
@@ -60,7 +61,7 @@ const RadianceOracle& townLight() {
 
 // A frame's worth of runtime at a place, settled, with probes that follow it.
 struct Frame {
-  Frame(const formats::World& of, std::span<const Vec3> sun_on_patches, const Sky& with_sky, ProbeSettings settings = {},
+  Frame(const formats::WholeWorld& of, std::span<const Vec3> sun_on_patches, const Sky& with_sky, ProbeSettings settings = {},
         float radius_m = 8)
       : world(of),
         sky(with_sky),
@@ -68,7 +69,6 @@ struct Frame {
         streamer(std::move(*stream::Streamer::create(of, {.radius_m = radius_m, .hysteresis = 1}))),
         solver(makeCpuGather(2)),
         updater(of, *streamer, *solver),
-        slots(of),
         probes(of, slots, settings) {
     EXPECT_TRUE(updater.setSky(sky));
     updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) {
@@ -96,7 +96,7 @@ struct Frame {
     return irradiance;
   }
 
-  const formats::World& world;
+  const formats::WholeWorld& world;
   const Sky sky;
   NodeValues sun;
   std::unique_ptr<stream::Streamer> streamer;
@@ -180,7 +180,7 @@ Errors errorsInTown(const ProbeSettings& settings, int observers) {
 TEST(FacetScenes, GoOnWithWhatTheyHaveWhileMemoryIsLacking) {
   const formats::TemporaryFolder folder;
   ASSERT_TRUE(formats::writeWorld(formats::makeRandomWorld({}), folder.file("w.ffm"), 1 << 20));
-  const auto world = formats::World::open(folder.file("w.ffm"));
+  const auto world = formats::WholeWorld::open(folder.file("w.ffm"));
   ASSERT_TRUE(world) << world.error().line();
   FacetScenes scenes(*world, 1 << 26);
   refuseOthersEveryNth(1);
@@ -226,7 +226,7 @@ TEST(Probes, PlanesOfTheCutStandInWhereNoTrianglesAreLoaded) {
 // In a closed room of one radiosity, every ray carries it: the irradiance is exactly that, whatever the point and normal.
 TEST(Probes, AFurnaceGivesItsRadiosityToEveryPointAndNormal) {
   const Folder folder;
-  const formats::World world = baked(bake::test::closedBox({.5f, .5f, .5f}, {1, 2, 3}), 0.125f, folder.file("box.ffm"));
+  const formats::WholeWorld world = baked(bake::test::closedBox({.5f, .5f, .5f}, {1, 2, 3}), 0.125f, folder.file("box.ffm"));
   for (const uint64_t facet_bytes : {uint64_t{1} << 24, uint64_t{0}}) {
     Frame frame(world, std::vector<Vec3>(world.levels()[0].nodes), {}, {.facet_bytes = facet_bytes}, 1);
     frame.goTo({0.5f, 0.5f, 0.5f});
@@ -250,7 +250,7 @@ TEST(Probes, TheOpenSkyGivesItsClosedForm) {
   bake::Scene scene;
   const uint32_t m = bake::test::addMaterial(scene, {.5f, .5f, .5f});
   bake::test::addQuad(scene, {0, 0, 0}, {0, 0, 4}, {4, 0, 4}, {4, 0, 0}, m);
-  const formats::World world = baked(scene, 0.5f, folder.file("floor.ffm"));
+  const formats::WholeWorld world = baked(scene, 0.5f, folder.file("floor.ffm"));
   Frame frame(world, std::vector<Vec3>(world.levels()[0].nodes), kSky, {.rays = 1024});
   frame.goTo({2, 1, 2});
   // The cosine-weighted mean direction around n is 2/3 n; stratified over 1024 rays it is exact to about 1e-3.
@@ -291,7 +291,7 @@ TEST(Probes, ADarkRoomBesideALitStreetStaysDark) {
   box({0, 0, 0}, {6, 3, 6}, true);                                                   // the room
   box({-0.2f, -0.2f, -0.2f}, {6.2f, 3.2f, 6.2f}, false);                             // the house around it
   bake::test::addQuad(scene, {6.2f, -0.2f, -20}, {6.2f, -0.2f, 20}, {30, -0.2f, 20}, {30, -0.2f, -20}, m);  // the street
-  const formats::World world = baked(scene, 0.5f, folder.file("house.ffm"));
+  const formats::WholeWorld world = baked(scene, 0.5f, folder.file("house.ffm"));
   const RadianceOracle oracle(world, kSky, kToSun, kSun);
   for (const uint64_t facet_bytes : {uint64_t{1} << 24, uint64_t{0}}) {
     Frame frame(world, oracle.sun(), kSky, {.facet_bytes = facet_bytes}, 6);
@@ -334,7 +334,7 @@ TEST(Probes, MeetTrianglesWhereCellsHoldSlantedSurfaces) {
     const Vec3 y = normalized(cross(x, {uniform() - 0.5f, uniform() - 0.5f, uniform() - 0.5f}));
     addBlock(scene, at, x, y * 0.3f, normalized(cross(x, y)) * 0.03f, board);
   }
-  const formats::World world = baked(scene, 0.5f, folder.file("boards.ffm"));
+  const formats::WholeWorld world = baked(scene, 0.5f, folder.file("boards.ffm"));
   const RadianceOracle oracle(world, {}, kToSun, {});
   double relative[2];
   for (const bool planes : {false, true}) {

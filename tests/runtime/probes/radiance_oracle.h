@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "bake/rays/ray_caster.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"
@@ -19,7 +19,7 @@ namespace ff::runtime {
 
 class RadianceOracle {
  public:
-  RadianceOracle(const formats::World& world, const Sky& sky, Vec3 to_sun, Vec3 sun) : sky_(sky) {
+  RadianceOracle(const formats::WholeWorld& world, const Sky& sky, Vec3 to_sun, Vec3 sun) : sky_(sky) {
     scene_.materials.emplace_back();
     std::vector<formats::Node> nodes;
     for (const formats::TileInfo& info : world.tiles(0)) {

@@ -133,7 +133,7 @@ class BadNumbersAtTheDoor : public testing::TestWithParam<FormfieldSolver> {
     formfieldDestroyDevice(device_);
   }
   void frames(int count) {
-    const float at[3] = {8, 1, 8};
+    const double at[3] = {8, 1, 8};
     for (int i = 0; i < count; ++i)
       ASSERT_EQ(formfieldFrame(world_, at, nullptr), FORMFIELD_OK) << formfieldError(device_);
   }

@@ -12,6 +12,7 @@
 #include <numeric>
 
 #include "bake/bake.h"
+#include "formats/whole_world.h"
 #include "tests/support/analytic_scenes.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/scene/analytic.h"
@@ -49,9 +50,9 @@ class Traced {
     const std::string path = folder_ + "/world.ffm";
     const auto baked = bake::bakeWorld(scene, {.cell_m = cell_m, .rays = 32, .threads = 1}, path);
     if (!baked) throw std::runtime_error(baked.error().line());
-    auto opened = formats::World::open(path);
+    auto opened = formats::WholeWorld::open(path);
     if (!opened) throw std::runtime_error(opened.error().line());
-    world = std::make_unique<formats::World>(std::move(*opened));
+    world = std::make_unique<formats::WholeWorld>(std::move(*opened));
     auto created = PathTracer::create(scene, *world);
     if (!created) throw std::runtime_error(created.error().line());
     tracer = std::make_unique<PathTracer>(std::move(*created));
@@ -96,7 +97,7 @@ class Traced {
   }
 
   bake::Scene scene;
-  std::unique_ptr<formats::World> world;
+  std::unique_ptr<formats::WholeWorld> world;
   std::unique_ptr<PathTracer> tracer;
   std::vector<formats::Node> nodes;
 
@@ -120,7 +121,7 @@ double irradianceFrom(std::span<const Vec3> polygon, double radiance, Vec3 point
 }
 
 // Mean over a patch's drawing geometry of a function of the point, by the midpoints of 15 x 15 pieces of each triangle.
-double meanOver(const formats::World& world, uint32_t patch, const std::function<double(Vec3)>& f) {
+double meanOver(const formats::WholeWorld& world, uint32_t patch, const std::function<double(Vec3)>& f) {
   constexpr int kPieces = 15;
   const uint32_t tile = world.tileOf(0, patch);
   const auto geometry = world.geometry(tile);
@@ -481,7 +482,7 @@ TEST(PathTracer, RefusesAWorldWithoutDrawingGeometry) {
   ASSERT_TRUE(mkdtemp(folder.data()));
   {
     ASSERT_TRUE(bake::bakeWorld(scene, {.cell_m = 0.5f, .rays = 16, .threads = 1, .geometry = false}, folder + "/w.ffm"));
-    const auto world = formats::World::open(folder + "/w.ffm");
+    const auto world = formats::WholeWorld::open(folder + "/w.ffm");
     ASSERT_TRUE(world) << world.error().line();
     const auto refused = PathTracer::create(scene, *world);
     ASSERT_FALSE(refused);

@@ -4,6 +4,7 @@
 
 #include <fstream>
 
+#include "formats/whole_world.h"
 #include "runtime/choose_solver.h"
 #include "tests/support/random_world.h"
 
@@ -14,7 +15,7 @@ TEST(CutSettings, AreTheOptionsThenWhatIsRecommendedThenTwentyFourCells) {
   const formats::TemporaryFolder folder;
   const std::string path = folder.file("w.ffm");
   ASSERT_TRUE(formats::writeWorld(formats::makeRandomWorld({}), path, 1 << 28));
-  const auto world = formats::World::open(path);
+  const auto world = formats::WholeWorld::open(path);
   ASSERT_TRUE(world);
   auto cut = cutSettings(*world, {}, {});
   ASSERT_TRUE(cut);

@@ -6,6 +6,7 @@
 #include <numeric>
 #include <utility>
 
+#include "formats/whole_world.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/solver/solver.h"
@@ -118,7 +119,7 @@ Result<double> swapMs(Dense& dense, uint32_t first) {
 
 // A level-0 tile leaves the cut and comes back, by patch: matrix and solver. Not where level 0 is the top, which never
 // leaves.
-Result<double> tileSwapMs(const formats::World& world, const Neighbourhood& there, int threads, int most) {
+Result<double> tileSwapMs(const formats::WholeWorld& world, const Neighbourhood& there, int threads, int most) {
   if (world.levels().size() == 1) return kNotMeasured;
   const auto active = there.streamer->active();
   MatrixAssembler assembler(world);
@@ -145,7 +146,7 @@ Result<double> tileSwapMs(const formats::World& world, const Neighbourhood& ther
 
 }  // namespace
 
-Result<Neighbourhood> nearestPatches(const formats::World& world, const WorldTruth& truth, Vec3 observer,
+Result<Neighbourhood> nearestPatches(const formats::WholeWorld& world, const WorldTruth& truth, Vec3 observer,
                                      uint32_t patches) {
   std::vector<float> away;
   for (const formats::Strip& strip : truth.patches)
@@ -156,7 +157,7 @@ Result<Neighbourhood> nearestPatches(const formats::World& world, const WorldTru
                          {.radius_m = away[last], .hysteresis = 1, .max_level0_nodes = patches});
 }
 
-Result<MethodsThere> measureMethods(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there,
+Result<MethodsThere> measureMethods(const formats::WholeWorld& world, const WorldTruth& truth, const Neighbourhood& there,
                                     const MethodSettings& settings) {
   const auto local = localPatches(world, truth, there);
   if (!local) return local.error();

@@ -3,6 +3,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/whole_world.h"
 #include "tools/chart/neighbourhood.h"
 
 namespace ff::chart {
@@ -38,10 +39,10 @@ inline constexpr const char* kExactFloatName = "multibounce fp32";
 inline constexpr const char* kGatherName = "gather on the pyramid cut";
 
 // The M patches nearest to the observer, as far as whole tiles go.
-Result<Neighbourhood> nearestPatches(const formats::World& world, const WorldTruth& truth, Vec3 observer,
+Result<Neighbourhood> nearestPatches(const formats::WholeWorld& world, const WorldTruth& truth, Vec3 observer,
                                      uint32_t patches);
 
-Result<MethodsThere> measureMethods(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there,
+Result<MethodsThere> measureMethods(const formats::WholeWorld& world, const WorldTruth& truth, const Neighbourhood& there,
                                     const MethodSettings& settings);
 
 }  // namespace ff::chart

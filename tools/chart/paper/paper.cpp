@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "bake/import/gltf_import.h"
+#include "formats/whole_world.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/page/figure_text.h"
 #include "tools/chart/paper/methods.h"
@@ -79,7 +80,7 @@ const MethodCost& of(const Size& size, const std::string& name) {
 }
 
 // Eyes that see light and have M patches around them, but for a twentieth.
-Result<std::vector<Vec3>> eyesOf(const formats::World& world, const WorldTruth& truth, uint32_t patches, size_t count) {
+Result<std::vector<Vec3>> eyesOf(const formats::WholeWorld& world, const WorldTruth& truth, uint32_t patches, size_t count) {
   std::vector<Vec3> eyes;
   for (const Vec3 eye : observersOf(truth, static_cast<int>(4 * count), world.info().cell_m)) {
     const auto there = nearestPatches(world, truth, eye, patches);
@@ -111,7 +112,7 @@ Result<SceneFigures> measureScene(const std::string& name, const bake::Scene& sc
   const auto baked = BakedScene::bake(
       scene, {.cell_m = 1, .rays = options.quick ? 512u : 1024u, .seed = options.seed, .threads = options.threads});
   if (!baked) return baked.error();
-  const formats::World& world = baked->world();
+  const formats::WholeWorld& world = baked->world();
   say("full solution");
   const auto truth = solveWorldTruth(world, false);
   if (!truth) return truth.error();

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "formats/whole_world.h"
+#include "stream/strip_loader.h"
 #include "bake/light/form_factor.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/solver/solver.h"
@@ -66,7 +68,7 @@ struct Balance {
     area[material] += area_m2;
     light[material] += area_m2 * b;
   }
-  double leaked() const { return light[kLit] > 0 ? light[kDark] / area[kDark] / (light[kLit] / area[kLit]) : 0; }
+  double leaked() const { return light[kLit] > 0 && area[kDark] > 0 ? light[kDark] / area[kDark] / (light[kLit] / area[kLit]) : 0; }
 };
 
 template <class Visit>
@@ -122,7 +124,7 @@ uint32_t materialAt(const formats::Node& node) {
 }
 
 // Direct light of all levels: clusters have the mean over their patches, as the run time asks for it.
-Result<runtime::NodeValues> directLight(const formats::World& world) {
+Result<runtime::NodeValues> directLight(const formats::WholeWorld& world) {
   const auto areas = runtime::patchAreas(world);
   if (!areas) return areas.error();
   std::vector<Vec3> direct;
@@ -135,7 +137,7 @@ Result<runtime::NodeValues> directLight(const formats::World& world) {
 }
 
 // The cut's light, by slot.
-Result<std::vector<runtime::Vec4>> solved(const formats::World& world, const runtime::NodeValues& direct,
+Result<std::vector<runtime::Vec4>> solved(const formats::WholeWorld& world, const runtime::NodeValues& direct,
                                           const runtime::LocalMatrix& matrix, std::span<const stream::StripPtr> active,
                                           int threads) {
   using namespace runtime;
@@ -153,7 +155,7 @@ Result<std::vector<runtime::Vec4>> solved(const formats::World& world, const run
 }
 
 // The brightest patch of the dark room around the eye, over the light of a lit room.
-Result<double> leakAround(const formats::World& world, const runtime::NodeValues& direct, Vec3 eye, int threads) {
+Result<double> leakAround(const formats::WholeWorld& world, const runtime::NodeValues& direct, Vec3 eye, int threads) {
   auto streamer = stream::Streamer::create(world, {});
   if (!streamer) return streamer.error();
   (*streamer)->update(eye, {});
@@ -173,17 +175,15 @@ Result<double> leakAround(const formats::World& world, const runtime::NodeValues
 }
 
 // Everything from one level up active, solved; every patch has the light of its ancestor there.
-Result<double> leakOfLevel(const formats::World& world, const runtime::NodeValues& direct, uint32_t level,
+Result<double> leakOfLevel(const formats::WholeWorld& world, const runtime::NodeValues& direct, uint32_t level,
                            int threads) {
   using namespace runtime;
   std::vector<stream::StripPtr> active;
   for (uint32_t l = level; l < world.levels().size(); ++l)
     for (const formats::TileInfo& info : world.tiles(l)) {
-      auto strip = world.strip(info.id);
+      auto strip = stream::readResident(world, world.ref(info.id));
       if (!strip) return strip.error();
-      auto packed = stream::pack(std::move(*strip));
-      if (!packed) return packed.error();
-      active.push_back(std::make_shared<const stream::ResidentStrip>(std::move(*packed)));
+      active.push_back(std::move(*strip));
     }
   const auto matrix = buildLocalMatrix(world, active);
   if (!matrix) return matrix.error();

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "formats/whole_world.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/neighbourhood.h"
 #include "tools/chart/scene_of_model.h"
@@ -25,13 +26,14 @@ struct Sums {
 };
 
 // Radiosity of a patch as the cut has it: its own, or that of its nearest active ancestor; else what is far.
-Vec4 valueOf(const formats::World& world, const LocalMatrix& matrix, std::span<const Vec4> radiosity, uint32_t patch,
+Vec4 valueOf(const formats::WholeWorld& world, const LocalMatrix& matrix, std::span<const Vec4> radiosity, uint32_t patch,
              Vec4 far_value) {
-  const uint32_t slot = slotFor(world, matrix.tiles, 0, patch);
+  const formats::TileRef tile = world.ref({0, world.tileOf(0, patch)});
+  const uint32_t slot = slotFor(matrix.tiles, tile, patch - tile.info().first_node);
   return slot != kNoSlot ? radiosity[slot] : far_value;
 }
 
-Result<Sums> compareNear(const formats::World& world, const WorldTruth& truth, const Neighbourhood& there,
+Result<Sums> compareNear(const formats::WholeWorld& world, const WorldTruth& truth, const Neighbourhood& there,
                          FarLight far_light, int threads) {
   const auto matrix = buildLocalMatrix(world, there.streamer->active(), far_light);
   if (!matrix) return matrix.error();
@@ -68,7 +70,7 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
       sceneOf(tools::townModel(*town, false)),
       {.cell_m = 1, .rays = options.quick ? 512u : 2048u, .seed = options.seed, .threads = options.threads});
   if (!baked) return baked.error();
-  const formats::World& world = baked->world();
+  const formats::WholeWorld& world = baked->world();
   const auto truth = solveWorldTruth(world, false);
   if (!truth) return truth.error();
   const std::vector<float> radii = options.quick ? std::vector<float>{24, 16, 12, 8, 4, 2, 1}

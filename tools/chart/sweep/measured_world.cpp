@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
+#include "formats/whole_world.h"
 #include "runtime/full_solve.h"
 
 namespace ff::chart {
@@ -13,10 +14,10 @@ bool isSeen(std::span<const Place> places, size_t at, const Lighting& light) {
 }
 
 Result<MeasuredWorld> MeasuredWorld::open(const bake::Scene& scene, const std::string& path) {
-  auto world = formats::World::open(path);
+  auto world = formats::WholeWorld::open(path);
   if (!world) return world.error();
   MeasuredWorld m;
-  m.world_ = std::make_unique<formats::World>(std::move(*world));
+  m.world_ = std::make_unique<formats::WholeWorld>(std::move(*world));
   auto tracer = PathTracer::create(scene, *m.world_);
   if (!tracer) return tracer.error();
   m.tracer_ = std::make_unique<PathTracer>(std::move(*tracer));

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "bake/bake.h"
+#include "formats/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "tools/chart/sweep/knobs.h"
 #include "tools/chart/truth/path_tracer.h"
@@ -41,7 +42,7 @@ class MeasuredWorld {
   // Takes a world as it is. scene outlives it. Errors: unreadable world, or one of another scene.
   static Result<MeasuredWorld> open(const bake::Scene& scene, const std::string& path);
 
-  const formats::World& world() const { return *world_; }
+  const formats::WholeWorld& world() const { return *world_; }
   const std::vector<formats::Node>& patches() const { return nodes_; }
   const std::vector<float>& areasM2() const { return areas_m2_; }  // by patch
   const PathTracer& tracer() const { return *tracer_; }
@@ -67,7 +68,7 @@ class MeasuredWorld {
   Result<const LitWorld*> lit(const Lighting& light, uint32_t shadow_rays, const TraceSettings* trace);
 
  private:
-  std::unique_ptr<formats::World> world_;
+  std::unique_ptr<formats::WholeWorld> world_;
   std::unique_ptr<PathTracer> tracer_;
   std::vector<formats::Node> nodes_;
   std::vector<float> areas_m2_;

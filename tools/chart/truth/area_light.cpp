@@ -5,6 +5,8 @@
 #include <cmath>
 #include <limits>
 
+#include "formats/whole_world.h"
+
 namespace ff::chart {
 namespace {
 
@@ -70,7 +72,7 @@ Vec3 AreaLight::irradianceAt(Vec3 point, Vec3 normal) const {
   return {static_cast<float>(sum[0]), static_cast<float>(sum[1]), static_cast<float>(sum[2])};
 }
 
-Result<std::vector<Vec3>> AreaLight::irradianceOfPatches(const formats::World& world) const {
+Result<std::vector<Vec3>> AreaLight::irradianceOfPatches(const formats::WholeWorld& world) const {
   std::vector<std::array<double, 4>> sums(world.levels()[0].nodes);  // by channel; area
   for (const formats::TileInfo& info : world.tiles(0)) {
     const auto geometry = world.geometry(info.id.tile);

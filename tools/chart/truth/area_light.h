@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "bake/scene.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 
 namespace ff::chart {
 
@@ -18,7 +18,7 @@ class AreaLight {
   Vec3 irradianceAt(Vec3 point, Vec3 normal) const;
   // Its mean over each patch's drawing geometry, by midpoints of pieces that are small beside their distance from the
   // nearest emitter. Errors: unreadable geometry.
-  Result<std::vector<Vec3>> irradianceOfPatches(const formats::World& world) const;
+  Result<std::vector<Vec3>> irradianceOfPatches(const formats::WholeWorld& world) const;
 
  private:
   struct Emitter {

@@ -12,6 +12,7 @@
 #include <thread>
 
 #include "bake/surface/lamp_groups.h"
+#include "formats/whole_world.h"
 #include "tools/chart/truth/sampling.h"
 #include "tools/chart/truth/scene_surface.h"
 
@@ -433,7 +434,7 @@ struct PathTracer::State {
   }
 };
 
-Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::World& world) {
+Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::WholeWorld& world) {
   auto state = std::make_unique<State>();
   state->scene = &scene;
   state->lamp_groups = bake::groupLamps(scene);

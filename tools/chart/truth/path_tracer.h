@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "bake/scene.h"
-#include "formats/reader.h"
+#include "formats/whole_world.h"
 #include "tools/chart/truth/lighting.h"
 
 namespace ff::chart {
@@ -59,7 +59,7 @@ class PathTracer {
  public:
   // scene: what the world was baked from, without the materials left out there; outlives the tracer, as does the world.
   // Errors: kInvalidFile (a world without drawing geometry; a world that lies elsewhere than the scene), kIo.
-  static Result<PathTracer> create(const bake::Scene& scene, const formats::World& world);
+  static Result<PathTracer> create(const bake::Scene& scene, const formats::WholeWorld& world);
   PathTracer(PathTracer&&) noexcept;
   PathTracer& operator=(PathTracer&&) noexcept;
   ~PathTracer();

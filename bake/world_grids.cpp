@@ -1,0 +1,41 @@
+#include "bake/world_grids.h"
+
+#include <openvdb/io/File.h>
+#include <openvdb/openvdb.h>
+
+namespace ff::bake {
+namespace {
+
+// Voxel (i, j, k) is a cell: its corner, not its centre, lies at i, j, k times its edge.
+openvdb::math::Transform::Ptr cellsOf(double edge_m, const std::array<double, 3>& origin) {
+  auto transform = openvdb::math::Transform::createLinearTransform(edge_m);
+  transform->postTranslate(openvdb::Vec3d(origin[0] + edge_m / 2, origin[1] + edge_m / 2, origin[2] + edge_m / 2));
+  return transform;
+}
+
+}  // namespace
+
+Result<void> writeWorldGrids(const std::string& path, std::span<const Cell> cells, float cell_m, const std::array<double, 3>& origin) try {
+  openvdb::initialize();
+  const auto patches = openvdb::Int32Grid::create(0);
+  patches->setName("patches");
+  patches->setTransform(cellsOf(static_cast<double>(cell_m), origin));
+  const auto chunks = openvdb::MaskGrid::create(false);
+  chunks->setName("chunks");
+  chunks->setTransform(cellsOf(static_cast<double>(cell_m) * formats::kChunkCells, origin));
+  auto count = patches->getAccessor();
+  auto occupied = chunks->getAccessor();
+  for (const Cell& cell : cells) {
+    const openvdb::Coord c(cell[0], cell[1], cell[2]);
+    count.setValueOn(c, count.getValue(c) + 1);
+    occupied.setValueOn(openvdb::Coord(cell[0] >> formats::kChunkLog, cell[1] >> formats::kChunkLog, cell[2] >> formats::kChunkLog));
+  }
+  openvdb::io::File file(path);
+  file.write({patches, chunks});
+  file.close();
+  return {};
+} catch (const std::exception& e) {
+  return Error{ErrorCode::kIo, path, "", std::string("cannot be written: ") + e.what(), "name a file in a folder that can be written"};
+}
+
+}  // namespace ff::bake

@@ -1,0 +1,39 @@
+// A world whose index has all been read, for what looks at every tile: checks, exports, charts, solves of the whole. Nodes and tiles have their
+// numbers in the world's order, so that arrays can be made of them. Takes memory and reads in proportion to the world; what
+// streams takes a World.
+#pragma once
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "formats/reader.h"
+
+namespace ff::formats {
+
+class WholeWorld : public World {
+ public:
+  // As World::open(); also checks that strips, geometry and chunks fill their shards, and the levels' totals.
+  static Result<WholeWorld> open(const std::string& path, const StoragePtr& storage = posixStorage());
+
+  std::span<const TileInfo> tiles(uint32_t level) const { return tiles_[level]; }  // by number
+  std::span<const ChunkPtr> chunks(uint32_t level) const { return chunks_[level]; }
+  TileRef ref(TileId id) const;
+  // The tile that holds a node; node < levels()[level].nodes. Logarithmic.
+  uint32_t tileOf(uint32_t level, uint32_t node) const;
+  // Number of a node's parent at level + 1; kNoParent at the coarsest level.
+  uint32_t parent(uint32_t level, uint32_t node) const;
+  // Numbers of the first and last + 1 nodes of level - 1 under a node; level >= 1.
+  std::pair<uint32_t, uint32_t> children(uint32_t level, uint32_t node) const { return children_[level][node]; }
+
+ private:
+  explicit WholeWorld(World world) : World(std::move(world)) {}
+  Result<void> readChunks();
+  Result<void> checkShards() const;
+
+  std::vector<std::vector<TileInfo>> tiles_;                         // by level
+  std::vector<std::vector<ChunkPtr>> chunks_;                        // by level, in the world's order
+  std::vector<std::vector<std::pair<uint32_t, uint32_t>>> children_; // by level, then by node; none at level 0
+};
+
+}  // namespace ff::formats

@@ -1,0 +1,155 @@
+// An edit changes the strips of the chunks that it is in, and of those that see them. Farther away nothing changes but numbers: where a new
+// house's shadow moves a patch to another class (of openness, of what lamps light), its tile's patches change places, and rows that
+// name them name them anew.
+#include <gtest/gtest.h>
+
+#include <array>
+#include <iostream>
+#include <map>
+#include <set>
+
+#include "bake/bake.h"
+#include "bake/import/gltf_import.h"
+#include "formats/whole_world.h"
+#include "tests/support/random_world.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
+
+namespace ff::bake {
+namespace {
+
+// A house of box.lo to box.hi without windows, of the town's first material.
+void addHouse(Scene& scene, const Box& box) {
+  const auto at = [&](int x, int y, int z) { return Vec3{(x ? box.hi : box.lo).x, (y ? box.hi : box.lo).y, (z ? box.hi : box.lo).z}; };
+  const auto quad = [&](Vec3 a, Vec3 b, Vec3 c, Vec3 d) {
+    const auto first = static_cast<uint32_t>(scene.positions.size());
+    scene.positions.insert(scene.positions.end(), {a, b, c, d});
+    if (!scene.uv0.empty()) scene.uv0.resize(scene.positions.size());
+    if (!scene.uv1.empty()) scene.uv1.resize(scene.positions.size());
+    if (!scene.colors.empty()) scene.colors.resize(scene.positions.size());
+    Triangle t = scene.triangles.front();
+    t.v = {first, first + 1, first + 2};
+    scene.triangles.push_back(t);
+    t.v = {first, first + 2, first + 3};
+    scene.triangles.push_back(t);
+  };
+  quad(at(0, 0, 0), at(0, 0, 1), at(0, 1, 1), at(0, 1, 0));
+  quad(at(1, 0, 0), at(1, 1, 0), at(1, 1, 1), at(1, 0, 1));
+  quad(at(0, 1, 0), at(0, 1, 1), at(1, 1, 1), at(1, 1, 0));
+  quad(at(0, 0, 0), at(0, 1, 0), at(1, 1, 0), at(1, 0, 0));
+  quad(at(0, 0, 1), at(1, 0, 1), at(1, 1, 1), at(0, 1, 1));
+}
+
+using Bytes = std::vector<std::byte>;
+
+Bytes storedStrip(const formats::World& world, const formats::TileInfo& tile) {
+  Bytes bytes(tile.strip.stored_bytes);
+  EXPECT_TRUE(world.readStored(tile.strip, bytes));
+  return bytes;
+}
+
+// Whether any row of a chunk names a patch in one of these chunks.
+bool sees(const formats::WholeWorld& world, const formats::Chunk& chunk, const std::set<formats::ChunkCell>& others) {
+  for (const formats::TileInfo& tile : chunk.tiles) {
+    const auto strip = world.strip(tile.id);
+    EXPECT_TRUE(strip);
+    for (const formats::Block& block : strip->blocks)
+      if (others.contains(world.ref({tile.id.level, block.partner_tile}).chunk->cell)) return true;
+  }
+  return false;
+}
+
+// A tile's rows with patches instead of numbers: where they are, and which way they face.
+using Patch = std::array<float, 6>;
+Patch patchOf(const formats::Node& n) { return {n.centroid.x, n.centroid.y, n.centroid.z, n.normal.x, n.normal.y, n.normal.z}; }
+
+std::map<Patch, std::map<Patch, uint32_t>> rowsByPatch(const std::vector<formats::Strip>& strips, uint32_t tile) {
+  std::map<Patch, std::map<Patch, uint32_t>> rows;
+  const formats::Strip& strip = strips[tile];
+  size_t e = 0;
+  for (const formats::Block& block : strip.blocks)
+    for (const size_t end = e + block.entries; e < end; ++e)
+      rows[patchOf(strip.nodes[strip.rows[e]])][patchOf(strips[block.partner_tile].nodes[strip.columns[e]])] += strip.counts[e];
+  for (const formats::Node& n : strip.nodes)  // what a row has beside its entries
+    rows[patchOf(n)][{n.area_m2, n.albedo.x, n.row_total, n.sky_fraction, n.sky_direction.x, n.sky_quadratic[3]}] = n.quanta * 65536 + n.sky;
+  return rows;
+}
+
+std::vector<formats::Strip> patchesOf(const formats::WholeWorld& world) {
+  std::vector<formats::Strip> strips;
+  for (const formats::TileInfo& tile : world.tiles(0)) {
+    auto strip = world.strip(tile.id);
+    EXPECT_TRUE(strip) << strip.error().line();
+    strips.push_back(std::move(*strip));
+  }
+  return strips;
+}
+
+TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirRows) {
+  const formats::TemporaryFolder folder;
+  const auto town = tools::makeTown({.patches = 60000});
+  ASSERT_TRUE(town) << town.error().line();
+  ASSERT_TRUE(tools::writeGlb(tools::townModel(*town, false), folder.file("town.glb")));
+  auto scene = importGltf(folder.file("town.glb"));
+  ASSERT_TRUE(scene) << scene.error().line();
+  Box all;
+  for (const Vec3 p : scene->positions) all.add(p);
+  const BakeSettings settings{.cell_m = 1, .rays = 64, .geometry = false};
+  ASSERT_TRUE(bakeWorld(*scene, settings, folder.file("before.ffm")));
+  const auto before = formats::WholeWorld::open(folder.file("before.ffm"));
+  ASSERT_TRUE(before) << before.error().line();
+  // On the most open ground within 25 m of a corner of the town.
+  Vec3 ground;
+  float most = 0;
+  for (const formats::TileInfo& tile : before->tiles(0)) {
+    const auto strip = before->strip(tile.id);
+    ASSERT_TRUE(strip);
+    for (const formats::Node& n : strip->nodes)
+      if (n.normal.y > 0.9f && std::abs(n.centroid.y) < 0.01f && length(n.centroid - Vec3{all.lo.x, 0, all.lo.z}) < 25 && n.sky_fraction > most) {
+        most = n.sky_fraction;
+        ground = n.centroid;
+      }
+  }
+  const Box house{ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}};
+  addHouse(*scene, house);
+  ASSERT_TRUE(bakeWorld(*scene, settings, folder.file("after.ffm")));
+  const auto after = formats::WholeWorld::open(folder.file("after.ffm"));
+  ASSERT_TRUE(after) << after.error().line();
+  std::map<formats::ChunkCell, formats::ChunkPtr> chunks_before;
+  for (const formats::ChunkPtr& chunk : before->chunks(0)) chunks_before[chunk->cell] = chunk;
+  std::set<formats::ChunkCell> holding;
+  size_t of_house = 0;
+  for (const formats::TileInfo& tile : after->tiles(0)) {
+    const auto strip = after->strip(tile.id);
+    ASSERT_TRUE(strip);
+    for (const formats::Node& n : strip->nodes) {
+      if (house.distance(n.centroid) > 1e-3f) continue;
+      holding.insert(after->ref(tile.id).chunk->cell);
+      of_house += n.centroid.y > 0.01f;
+    }
+  }
+  ASSERT_GT(of_house, 30u);
+  const std::vector<formats::Strip> strips_before = patchesOf(*before), strips_after = patchesOf(*after);
+  size_t far = 0, same_bytes = 0, near_changed = 0;
+  for (const formats::ChunkPtr& chunk : after->chunks(0)) {
+    const auto old = chunks_before.find(chunk->cell);
+    const bool near = holding.contains(chunk->cell) || sees(*after, *chunk, holding);
+    bool same = old != chunks_before.end() && old->second->tiles.size() == chunk->tiles.size();
+    ASSERT_TRUE(near || same) << formats::chunkText(0, chunk->cell);
+    for (size_t t = 0; same && t < chunk->tiles.size(); ++t) same = storedStrip(*after, chunk->tiles[t]) == storedStrip(*before, old->second->tiles[t]);
+    near_changed += near && !same;
+    if (near) continue;
+    ++far;
+    same_bytes += same;
+    for (size_t t = 0; !same && t < chunk->tiles.size(); ++t)
+      EXPECT_EQ(rowsByPatch(strips_after, chunk->tiles[t].id.tile), rowsByPatch(strips_before, old->second->tiles[t].id.tile))
+          << "tile " << t << " of " << formats::chunkText(0, chunk->cell);
+  }
+  std::cout << far << " chunks of " << after->chunks(0).size() << " neither hold nor see it; " << same_bytes << " of them kept their bytes\n";
+  EXPECT_GT(far, 10u);
+  EXPECT_GT(2 * same_bytes, far);
+  EXPECT_GT(near_changed, 0u);
+}
+
+}  // namespace
+}  // namespace ff::bake
