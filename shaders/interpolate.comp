@@ -1,5 +1,4 @@
-// Irradiance of the drawing vertices from the patches around them: slot by slot for what surfaces reflect (a patch
-// outside the cut takes its nearest active ancestor's), patch by patch for lamps and sky.
+// Irradiance of the drawing vertices from the patches around them.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #include "shared.h"
@@ -7,10 +6,9 @@
 layout(local_size_x = kInterpolateGroup) in;
 layout(push_constant) uniform Push { InterpolatePush push; };
 layout(std430, binding = 0) readonly buffer Tables { Interpolation tables[]; };  // from vertex push.first
-layout(std430, binding = 1) readonly buffer PatchSlot { uint patch_slot[]; };
-layout(std430, binding = 2) readonly buffer Slots { vec4 slots[]; };
-layout(std430, binding = 3) readonly buffer Looks { PatchLook looks[]; };
-layout(std430, binding = 4) buffer Vertices { Light vertices[]; };
+layout(std430, binding = 1) readonly buffer Reflected { vec4 reflected[]; };  // by patch: what arrives from surfaces
+layout(std430, binding = 2) readonly buffer Looks { PatchLook looks[]; };
+layout(std430, binding = 3) buffer Vertices { Light vertices[]; };
 
 void main() {
   if (gl_GlobalInvocationID.x >= push.count) return;
@@ -20,7 +18,7 @@ void main() {
     if (w == 0) continue;
     const uint p = tables[gl_GlobalInvocationID.x].patches[i];
     sum.direct += w * looks[p].direct;
-    sum.bounced += w * (looks[p].direct + slots[patch_slot[p]]);
+    sum.bounced += w * (looks[p].direct + reflected[p]);
   }
   vertices[push.first + gl_GlobalInvocationID.x] = sum;
 }

@@ -168,7 +168,10 @@ Result<void> addSeen(chart::Report& r, const Options& o, chart::Sweep& sweep) {
 Result<chart::JsonPage> chartWorld(Options& o) {
   view::CameraPath path;
   if (!o.camera.empty()) {
-    auto read = view::readCamera(o.camera);
+    std::array<double, 3> origin{};
+    if (!o.sweep.world_path.empty())
+      if (const auto world = formats::World::open(o.sweep.world_path)) origin = world->info().origin;
+    auto read = view::readCamera(o.camera, origin);
     if (!read) return read.error();
     path = std::move(*read);
     o.sweep.path = placesOf(path, o.sweep.observers);

@@ -1,5 +1,6 @@
 // ffinspect: looks into a world, checks it, and hands its parts to other programs.
 #include <CLI/CLI.hpp>
+#include <array>
 #include <charconv>
 #include <cstdio>
 #include <functional>
@@ -27,7 +28,7 @@ bool parseChunk(const std::string& text, formats::ChunkCell& cell) {
 struct Arguments {
   std::string world;
   NodeName node, other;
-  Vec3 point;
+  std::array<double, 3> point{};
   int threads = 0;
   bool quiet = false;
   ExportRequest request;
@@ -98,9 +99,9 @@ int main(int argc, char** argv) {
   addNode(pair, a.node, "_i");
   addNode(pair, a.other, "_j");
   auto* locate = add("locate", "the nearest patch of a point, and its name", [&](const auto& w) { return inspectLocate(w, a.point, a.out); });
-  locate->add_option("x", a.point.x, "m")->required();
-  locate->add_option("y", a.point.y, "m")->required();
-  locate->add_option("z", a.point.z, "m")->required();
+  locate->add_option("x", a.point[0], "m")->required();
+  locate->add_option("y", a.point[1], "m")->required();
+  locate->add_option("z", a.point[2], "m")->required();
   auto* exported = addWhole("export", "rows to mtx or npy, patches to npy or ply, geometry to ply",
                             [&](const auto& w) { return inspectExport(w, a.request, a.out); });
   exported->add_option("--what", a.request.what)->required()->check(CLI::IsMember({"rows", "lamps", "patches", "geometry"}));

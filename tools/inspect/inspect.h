@@ -1,6 +1,7 @@
 // The commands of ffinspect, apart from its argument parsing. Each prints its answer to stdout, as text or as one JSON
 // document, and returns what went wrong.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <cstdio>
 #include <nlohmann/json.hpp>
@@ -33,8 +34,8 @@ Result<void> inspectRow(const formats::World& world, const NodeName& node, const
 Result<void> inspectTile(const formats::World& world, uint32_t level, const formats::TileName& tile, const InspectOutput& out);
 // Both directions of one pair, and whether they agree. Nodes of one level.
 Result<void> inspectPair(const formats::World& world, const NodeName& i, const NodeName& j, const InspectOutput& out);
-// The nearest patch of a point, and its name.
-Result<void> inspectLocate(const formats::World& world, Vec3 point, const InspectOutput& out);
+// The nearest patch of a point, and its name. point: m, in the scene's world space.
+Result<void> inspectLocate(const formats::World& world, const std::array<double, 3>& at, const InspectOutput& out);
 
 struct ExportRequest {
   std::string what;    // rows, lamps, patches, geometry

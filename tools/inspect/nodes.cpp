@@ -270,7 +270,9 @@ Result<void> inspectPair(const World& world, const NodeName& i, const NodeName& 
 }
 
 // The nearest patch: chunks and tiles are opened in the order of their distance, until none can be nearer than what was found.
-Result<void> inspectLocate(const World& world, Vec3 point, const InspectOutput& out) {
+Result<void> inspectLocate(const World& world, const std::array<double, 3>& at, const InspectOutput& out) {
+  Vec3 point;
+  for (size_t a = 0; a < 3; ++a) point[static_cast<int>(a)] = static_cast<float>(at[a] - world.info().origin[a]);
   struct Place {
     float distance;
     ChunkPtr chunk;  // of a tile; of a child that has not been read: its parent

@@ -10,14 +10,14 @@ namespace {
 
 using nlohmann::json;
 
-std::optional<Vec3> triple(const json& object, const char* key) {
+std::optional<Vec3> triple(const json& object, const char* key, const std::array<double, 3>& origin = {}) {
   const auto it = object.find(key);
   if (it == object.end() || !it->is_array() || it->size() != 3) return std::nullopt;
   Vec3 v;
   for (int i = 0; i < 3; ++i) {
     const json& x = (*it)[static_cast<size_t>(i)];
     if (!x.is_number() || !std::isfinite(x.get<float>())) return std::nullopt;
-    v[i] = x.get<float>();
+    v[i] = static_cast<float>(x.get<double>() - origin[static_cast<size_t>(i)]);
   }
   return v;
 }
@@ -44,7 +44,7 @@ Vec3 CameraPath::velocityAt(double t) const {
   return to > from ? (at(to).eye - at(from).eye) / static_cast<float>(to - from) : Vec3{};
 }
 
-Result<CameraPath> readCamera(const std::string& path) {
+Result<CameraPath> readCamera(const std::string& path, const std::array<double, 3>& origin) {
   std::ifstream in(path, std::ios::binary);
   if (!in) return Error{ErrorCode::kIo, path, "", "cannot be read", "name a camera path (JSON)"};
   const std::string text{std::istreambuf_iterator<char>(in), {}};
@@ -62,7 +62,7 @@ Result<CameraPath> readCamera(const std::string& path) {
   for (const json& k : j["keys"]) {
     const std::string place = "key " + std::to_string(camera.keys.size());
     if (!k.is_object() || !k.contains("t") || !k["t"].is_number()) return invalid(place, "has no time t");
-    const auto eye = triple(k, "eye"), target = triple(k, "target");
+    const auto eye = triple(k, "eye", origin), target = triple(k, "target", origin);
     if (!eye || !target) return invalid(place, "needs eye and target, three numbers each");
     const CameraKey key{k["t"].get<double>(), *eye, *target};
     if (!camera.keys.empty() && key.t < camera.keys.back().t) return invalid(place, "goes back in time");

@@ -1,5 +1,6 @@
 // Camera paths: from a JSON file, or found in the scene.
 #pragma once
+#include <array>
 #include <optional>
 #include <string>
 #include <vector>
@@ -29,7 +30,8 @@ struct CameraPath {
 // {"fps": .., "keys": [{"t", "eye", "target"}], "sun": {"direction", "irradiance"}, "sky": {"l0", "zenith"}}: metres,
 // seconds; direction points to the sun; irradiance in W/m2 on a surface that faces it; the sky's radiance in direction w
 // is l0 + zenith * w.y, W/(m2 sr). fps, sun and sky may be left out. Errors: kIo, kInvalidFile.
-Result<CameraPath> readCamera(const std::string& path);
+// origin: of the world (formats::WorldInfo::origin), from which its coordinates count; a file has those of the scene.
+Result<CameraPath> readCamera(const std::string& path, const std::array<double, 3>& origin = {});
 
 // L = l0 + zenith * w.y.
 runtime::Sky skyOf(Vec3 l0, Vec3 zenith);

@@ -19,6 +19,15 @@ std::vector<uint32_t> patchSlots(const formats::WholeWorld& world, const runtime
 // reflected: per slot, W/m2.
 std::vector<shaders::vec4> gatherLight(const runtime::LocalMatrix& matrix, std::span<const runtime::Vec4> reflected);
 
+// Irradiance of every patch from what surfaces reflect, for pictures: its slot's, and where a slot stands for several patches, smooth
+// from cluster to cluster. The patches of a slot that hang together by `neighbours` (Weld's) are a piece. A patch takes the light of
+// its own piece and of those that touch it and face as it does (within 60 degrees): by a tent around the piece's centroid of 1.5
+// times its longest side, by how much of the square of that side it fills, and by how much its light is like the patch's own, darker
+// over brighter, so that contrasts stay (Tomasi, Manduchi. Bilateral Filtering for Gray and Color Images. 1998). No light passes a
+// wall, also where a cluster has patches on either side. slots: gatherLight().
+std::vector<shaders::vec4> patchLight(const ViewScene& scene, const Lists& neighbours, std::span<const uint32_t> patch_slot,
+                                      std::span<const shaders::vec4> slots);
+
 // M per patch, 3 each: albedo * (sun + lamps + sky).
 std::vector<double> patchSource(const ViewScene& scene, std::span<const float> sun_exposure, const Sun& sun,
                                 const runtime::Sky& sky);

@@ -89,7 +89,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
                                               .bindings = bindings});
   if (!background) return background.error();
   r.background_ = std::move(*background);
-  auto interpolate = runtime::ComputePipeline::create(context, interpolate_comp, 5, sizeof(shaders::InterpolatePush));
+  auto interpolate = runtime::ComputePipeline::create(context, interpolate_comp, 4, sizeof(shaders::InterpolatePush));
   if (!interpolate) return interpolate.error();
   r.interpolate_ = std::move(*interpolate);
 
@@ -117,9 +117,8 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
   const uint64_t patches = scene.patches.size();
   for (auto [buffer, bytes] : {std::pair<Buffer&, uint64_t>(r.tables_, weld.light_from.size() * sizeof(VertexPatches)),
                                std::pair<Buffer&, uint64_t>(r.looks_, patches * sizeof(shaders::PatchLook)),
-                               std::pair<Buffer&, uint64_t>(r.patch_slot_, patches * sizeof(uint32_t)),
+                               std::pair<Buffer&, uint64_t>(r.reflected_, patches * sizeof(shaders::vec4)),
                                std::pair<Buffer&, uint64_t>(r.figures_, patches * sizeof(shaders::PatchFigures)),
-                               std::pair<Buffer&, uint64_t>(r.slots_, runtime::kMaxSlots * sizeof(shaders::vec4)),
                                std::pair<Buffer&, uint64_t>(r.light_, uint64_t{r.vertices_} * sizeof(shaders::Light)),
                                std::pair<Buffer&, uint64_t>(r.frame_, sizeof(shaders::Frame))})
     if (auto made = make(buffer, bytes); !made) return made.error();
@@ -147,8 +146,7 @@ Result<Renderer> Renderer::create(VkContext& context, const ViewScene& scene, co
 }
 
 Result<void> Renderer::upload(const FrameLight& light, const shaders::Frame& frame) {
-  if (auto r = runtime::upload(*context_, patch_slot_, 0, std::as_bytes(light.patch_slot)); !r) return r;
-  if (auto r = runtime::upload(*context_, slots_, 0, std::as_bytes(light.slots)); !r) return r;
+  if (auto r = runtime::upload(*context_, reflected_, 0, std::as_bytes(light.reflected)); !r) return r;
   std::vector<shaders::PatchFigures> figures(light.difference.size());
   for (size_t p = 0; p < figures.size(); ++p) figures[p] = {light.difference[p], light.sun_exposure[p]};
   if (auto r = runtime::upload(*context_, figures_, 0, std::as_bytes(std::span(figures))); !r) return r;
@@ -195,7 +193,7 @@ Result<Rendered> Renderer::render(const SunRaster& raster, const DrawGeometry& g
   if (auto r = upload(light, frame); !r) return r.error();
 
   const uint32_t chunks = std::max(1u, (vertices_ + vertices_per_chunk_ - 1) / vertices_per_chunk_);
-  auto sets = runtime::StorageSets::create(*context_, chunks, 5 * chunks);
+  auto sets = runtime::StorageSets::create(*context_, chunks, 4 * chunks);
   if (!sets) return sets.error();
   std::vector<VkDescriptorSet> chunk_sets;
   for (uint32_t i = 0; i < chunks; ++i) {
@@ -203,8 +201,7 @@ Result<Rendered> Renderer::render(const SunRaster& raster, const DrawGeometry& g
     const uint64_t count = std::max<uint64_t>(std::min<uint64_t>(vertices_ - first, vertices_per_chunk_), 1);
     const VkDescriptorBufferInfo buffers[] = {
         {tables_.handle(), first * sizeof(shaders::Interpolation), count * sizeof(shaders::Interpolation)},
-        {patch_slot_.handle(), 0, VK_WHOLE_SIZE},
-        {slots_.handle(), 0, VK_WHOLE_SIZE},
+        {reflected_.handle(), 0, VK_WHOLE_SIZE},
         {looks_.handle(), 0, VK_WHOLE_SIZE},
         {light_.handle(), 0, VK_WHOLE_SIZE}};
     auto set = sets->make(interpolate_.setLayout(), buffers);

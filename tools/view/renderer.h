@@ -30,10 +30,9 @@ struct Rendered {
 
 // What changes from frame to frame.
 struct FrameLight {
-  std::span<const uint32_t> patch_slot;       // per patch
-  std::span<const shaders::vec4> slots;       // gatherLight(); at least one
-  std::span<const float> difference;          // per patch, drawn into Rendered::difference
-  std::span<const float> sun_exposure;        // per patch, SunRaster::exposure(); zeros without a sun
+  std::span<const shaders::vec4> reflected;  // per patch: irradiance from what surfaces reflect, patchLight()
+  std::span<const float> difference;         // per patch, drawn into Rendered::difference
+  std::span<const float> sun_exposure;       // per patch, SunRaster::exposure(); zeros without a sun
 };
 
 class Renderer {
@@ -58,7 +57,7 @@ class Renderer {
   bool shadows_drawn_ = false;
   Vec3 drawn_sun_;
   uint32_t vertices_ = 0, vertices_per_chunk_ = 0;
-  Buffer tables_, looks_, patch_slot_, slots_, light_, figures_, frame_, pixels_;
+  Buffer tables_, looks_, reflected_, light_, figures_, frame_, pixels_;
 };
 
 }  // namespace ff::view

@@ -82,6 +82,7 @@ struct Flight {
   const formats::WholeWorld& world;
   std::shared_ptr<runtime::VkContext> context;
   ViewScene scene;
+  Lists neighbours;  // Weld::neighbours
   DrawGeometry geometry;
   CameraPath camera;
   Lighting light;
@@ -155,7 +156,8 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
     comparison = compare(f.scene, matrix, patch_slot, slots, f.full, f.source, view.eye, 0.5f * f.radius_m);
 
   const auto draw_start = Clock::now();
-  auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {patch_slot, slots, comparison.difference, f.sun_exposure});
+  const auto smooth = patchLight(f.scene, f.neighbours, patch_slot, slots);
+  auto drawn = f.renderer.render(f.raster, f.geometry, view, f.light.sun, {smooth, comparison.difference, f.sun_exposure});
   if (!drawn) return drawn.error();
   const double draw_ms = msSince(draw_start);
   const float wanted = f.options.exposure_stops.value_or(exposureStops(drawn->bounced));
@@ -218,19 +220,24 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
   if (!scene) return scene.error();
   f.scene = std::move(*scene);
   auto start = Clock::now();
-  const Weld weld = weldScene(f.scene);
+  Weld weld = weldScene(f.scene);
+  f.neighbours = std::move(weld.neighbours);
   say(std::to_string(f.scene.patches.size()) + " patches, " + std::to_string(f.scene.triangles()) + " triangles, " +
       std::to_string(weld.position.size()) + " light vertices");
   figures["weld_ms"] = msSince(start);
   if (f.options.camera.empty()) {
     f.camera = findPath(f.scene);
   } else {
-    auto camera = readCamera(f.options.camera);
+    auto camera = readCamera(f.options.camera, f.world.info().origin);
     if (!camera) return camera.error();
     f.camera = std::move(*camera);
   }
   json& keys = figures["camera"]["keys"];  // a found path can be flown again
-  for (const CameraKey& k : f.camera.keys) keys.push_back({{"t", k.t}, {"eye", triple(k.eye)}, {"target", triple(k.target)}});
+  const auto inScene = [&](Vec3 p) {
+    const auto& origin = f.world.info().origin;
+    return json{static_cast<double>(p.x) + origin[0], static_cast<double>(p.y) + origin[1], static_cast<double>(p.z) + origin[2]};
+  };
+  for (const CameraKey& k : f.camera.keys) keys.push_back({{"t", k.t}, {"eye", inScene(k.eye)}, {"target", inScene(k.target)}});
   figures["camera"]["fps"] = f.camera.fps;
   f.light = lightingFor(f.options, f.camera, f.scene, f.world.info().lights);
   figures["sun"] = {{"direction", triple(f.light.sun.to_sun)}, {"irradiance", triple(f.light.sun.irradiance)}};
@@ -294,7 +301,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
 
   json figures = {{"world", std::filesystem::path(options.world).filename().string()}, {"device", device}};
   {
-    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
+    Flight f{options, *world, *context, {}, {}, {}, {}, {}, {}, {}, {}, {}, {}, {}, 0, std::filesystem::path(options.world).stem().string(), 0, 0};
     if (auto r = prepare(f, figures, say); !r) return r.error();
     auto settings = cutSettings(*world, options.solver, {options.radius_m, options.max_patches});
     if (!settings) return settings.error();

@@ -3,6 +3,8 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <span>
+#include <utility>
 #include <vector>
 
 #include "formats/whole_world.h"
@@ -36,6 +38,13 @@ struct VertexPatches {
   std::array<float, 8> weight{};
 };
 
+// Compressed lists of sorted, unique numbers.
+struct Lists {
+  std::vector<uint32_t> start{0}, items;
+  std::span<const uint32_t> of(uint32_t i) const { return {items.data() + start[i], items.data() + start[i + 1]}; }
+};
+Lists makeLists(std::vector<std::pair<uint32_t, uint32_t>> owner_and_item, size_t owners);
+
 // The corners of the triangles, welded: one vertex for all corners at one place whose faces point within 60 degrees of
 // each other, and that no wall between them parts (walls.h). Light is interpolated between such vertices; it never crosses
 // from one surface to another that does not touch it, so it cannot leak through a thin wall or under one. Sealed triangles, which
@@ -45,6 +54,7 @@ struct Weld {
   std::vector<Vec3> position;             // per vertex; one place has one position, so that there are no cracks
   std::vector<Vec3> normal;               // per vertex, area-weighted mean of its faces
   std::vector<VertexPatches> light_from;  // per vertex
+  Lists neighbours;                       // of a patch: those that it shares vertices with, which no wall parts from it
 };
 
 // A vertex takes light from the patches that meet in it and from those that touch these and face the same way (within 60

@@ -51,26 +51,6 @@ std::vector<uint32_t> weldPlaces(const std::vector<Vec3>& corners, float toleran
   return place_of;
 }
 
-// Compressed lists of sorted, unique numbers.
-struct Lists {
-  std::vector<uint32_t> start{0}, items;
-  std::span<const uint32_t> of(uint32_t i) const { return {items.data() + start[i], items.data() + start[i + 1]}; }
-};
-
-Lists makeLists(std::vector<std::pair<uint32_t, uint32_t>> pairs, size_t count) {
-  std::sort(pairs.begin(), pairs.end());
-  pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
-  Lists lists;
-  lists.start.assign(count + 1, 0);
-  lists.items.reserve(pairs.size());
-  for (const auto& [owner, item] : pairs) {
-    ++lists.start[owner + 1];
-    lists.items.push_back(item);
-  }
-  std::partial_sum(lists.start.begin(), lists.start.end(), lists.start.begin());
-  return lists;
-}
-
 // The edge of the grid that each patch was cut by, m: where patches are finer or coarser, cell_m by a power of two. As long as the
 // longest side of its box or of one that touches it, for patches may be smaller than their cell.
 std::vector<float> gridOf(const ViewScene& scene, const std::vector<bool>& sealed, const Lists& neighbours) {
@@ -122,6 +102,20 @@ VertexPatches lightOf(const ViewScene& scene, const Lists& touching, const Lists
 }
 
 }  // namespace
+
+Lists makeLists(std::vector<std::pair<uint32_t, uint32_t>> pairs, size_t owners) {
+  std::sort(pairs.begin(), pairs.end());
+  pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
+  Lists lists;
+  lists.start.assign(owners + 1, 0);
+  lists.items.reserve(pairs.size());
+  for (const auto& [owner, item] : pairs) {
+    ++lists.start[owner + 1];
+    lists.items.push_back(item);
+  }
+  std::partial_sum(lists.start.begin(), lists.start.end(), lists.start.begin());
+  return lists;
+}
 
 Weld weldScene(const ViewScene& scene) {
   // 16-bit positions over a tile err by bounds / 131070 in each axis, and a tile may be as large as the world.
@@ -192,11 +186,11 @@ Weld weldScene(const ViewScene& scene) {
     for (const uint32_t a : touching.of(v))
       for (const uint32_t b : touching.of(v))
         if (a != b) pairs.emplace_back(a, b);
-  const Lists neighbours = makeLists(std::move(pairs), scene.patches.size());
-  const std::vector<float> grid = gridOf(scene, sealed, neighbours);
+  weld.neighbours = makeLists(std::move(pairs), scene.patches.size());
+  const std::vector<float> grid = gridOf(scene, sealed, weld.neighbours);
   weld.light_from.resize(vertices);
   for (uint32_t v = 0; v < vertices; ++v)
-    weld.light_from[v] = lightOf(scene, touching, neighbours, grid, v, weld.position[v], weld.normal[v]);
+    weld.light_from[v] = lightOf(scene, touching, weld.neighbours, grid, v, weld.position[v], weld.normal[v]);
   for (const uint32_t t : scene.sealed)
     for (uint32_t c = 3 * t; c < 3 * t + 3; ++c) {
       weld.corner_vertex[c] = static_cast<uint32_t>(weld.position.size());

@@ -57,6 +57,14 @@ TEST_F(Camera, RefusesWhatIsNotAPathAndNamesThePlace) {
   EXPECT_EQ(readCamera("/nonexistent/camera.json").error().code, ErrorCode::kIo);
 }
 
+// A file has the scene's coordinates, which a float may be too short for.
+TEST_F(Camera, CountsFromTheOriginOfTheWorld) {
+  const auto c = readCamera(file(R"({"keys": [{"t": 0, "eye": [10000000.25, 1, -4000000.5], "target": [10000001.25, 1, -4000000.5]}]})"), {1e7, 0, -4e6});
+  ASSERT_TRUE(c) << c.error().line();
+  EXPECT_EQ(c->keys[0].eye, (Vec3{0.25f, 1, -0.5f}));
+  EXPECT_EQ(c->keys[0].target, (Vec3{1.25f, 1, -0.5f}));
+}
+
 // A closed box that is seen from inside (or from outside), cut into patches of about `cell` m.
 void addBox(ViewScene& scene, Vec3 lo, Vec3 hi, float cell, bool inside, Vec3 emission = {}) {
   const Vec3 s = hi - lo;

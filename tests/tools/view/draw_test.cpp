@@ -96,7 +96,7 @@ struct Drawn {
 class Pictures : public Drawing {
  protected:
   Drawn draw(const ViewScene& scene, const View& view, const Sun& sun, const runtime::Sky& sky,
-             std::vector<shaders::vec4> slots, std::vector<uint32_t> patch_slot) {
+             const std::vector<shaders::vec4>& reflected) {
     const Weld weld = weldScene(scene);
     auto geometry = uploadGeometry(*context_, scene, weld);
     EXPECT_TRUE(geometry);
@@ -105,7 +105,7 @@ class Pictures : public Drawing {
     const std::vector<float> difference(scene.patches.size(), 0.25f);
     std::vector<float> lit(scene.patches.size());
     if (sun.shines()) lit = *raster_.exposure(*geometry, scene, sun.to_sun);
-    auto drawn = renderer->render(raster_, *geometry, view, sun, {patch_slot, slots, difference, lit});
+    auto drawn = renderer->render(raster_, *geometry, view, sun, {reflected, difference, lit});
     EXPECT_TRUE(drawn) << drawn.error().line();
     return {std::move(*drawn)};
   }
@@ -117,8 +117,8 @@ TEST_F(Pictures, ShowEmissionAndAlbedoTimesIrradiance) {
   for (formats::Node& n : scene.patches) n.sky_fraction = 1;
   scene.lamps.assign(scene.patches.size(), {8, 8, 8});
   const float sky_irradiance = 3.14159265f * 2;
-  const Drawn d = draw(scene, {{0, 5, 0}, {0, 0, 0.1f}, 1}, {}, {{2, 2, 2}, {}}, {{8, 8, 8, 0}},
-                       std::vector<uint32_t>(scene.patches.size(), 0));
+  const Drawn d = draw(scene, {{0, 5, 0}, {0, 0, 0.1f}, 1}, {}, {{2, 2, 2}, {}},
+                       std::vector<shaders::vec4>(scene.patches.size(), {8, 8, 8, 0}));
   for (const auto& [x, y] : {std::pair{80u, 60u}, {10u, 10u}, {150u, 110u}}) {
     EXPECT_NEAR(d.direct(x, y).x, 3 + 0.5f * (8 + sky_irradiance), 1e-3);
     EXPECT_NEAR(d.bounced(x, y).x, 3 + 0.5f * (16 + sky_irradiance), 1e-3);
@@ -134,8 +134,8 @@ TEST_F(Pictures, ShowASharpShadowAndNoneOnItself) {
   addSheet(scene, {-2, 4, -2}, {0, 0, 4}, {4, 0, 0}, 4, 4, {1, 1, 1});  // faces up, unseen from below
   // From under the roof, straight down; half of the view's height is 3 * tan(0.5) = 1.64 m, of its width 2.19 m.
   for (const Vec3 to_sun : {Vec3{0, 1, 0}, normalized({1, 1, 0})}) {
-    const Drawn d = draw(scene, {{0, 3, 0}, {0, 0, 0.001f}, 1}, {to_sun, {2, 2, 2}}, {}, {{}},
-                         std::vector<uint32_t>(scene.patches.size(), 0));
+    const Drawn d = draw(scene, {{0, 3, 0}, {0, 0, 0.001f}, 1}, {to_sun, {2, 2, 2}}, {},
+                         std::vector<shaders::vec4>(scene.patches.size()));
     int lit = 0, dark = 0, between = 0;
     for (const runtime::Vec4& b : d.picture.bounced) {
       const float share = b.x / (2 * to_sun.y);
@@ -163,8 +163,8 @@ TEST_F(Pictures, ShowNoSunInTheCornerOfADarkRoom) {
     addSheet(scene, {-4, -2, 0}, out ? up : x, out ? x : up, 4, 4, {1, 1, 1});  // z = 0, inside faces +z
     addSheet(scene, {0, -2, 0}, out ? up : z, out ? z : up, 4, 4, {1, 1, 1});   // x = 0, inside faces -x
   }
-  const Drawn d = draw(scene, {{-1, 0, 1}, {0, 0, 0}, 0.5f}, {normalized({0.51f, 0.5f, 0.38f}), {2, 2, 2}}, {}, {{}},
-                       std::vector<uint32_t>(scene.patches.size(), 0));
+  const Drawn d = draw(scene, {{-1, 0, 1}, {0, 0, 0}, 0.5f}, {normalized({0.51f, 0.5f, 0.38f}), {2, 2, 2}}, {},
+                       std::vector<shaders::vec4>(scene.patches.size()));
   for (size_t i = 0; i < d.picture.direct.size(); ++i) EXPECT_EQ(d.picture.direct[i].x, 0) << "pixel " << i % 160 << ", " << i / 160;
 }
 
@@ -172,7 +172,7 @@ TEST_F(Pictures, ShowTheSkyWhereThereIsNoSurface) {
   ViewScene scene;
   addSheet(scene, {-1, 0, -1}, {0, 0, 2}, {2, 0, 0}, 2, 2);
   const runtime::Sky sky{{1, 1, 1}, {{0, 0.5f, 0}, {0, 0, 0}, {0, 0, 0}}, {{0, 0, 0, 2, 0}, {}, {}}};
-  const Drawn d = draw(scene, {{0, 3, 0}, {0, 9, 0.001f}, 1}, {}, sky, {{}}, std::vector<uint32_t>(scene.patches.size(), 0));
+  const Drawn d = draw(scene, {{0, 3, 0}, {0, 9, 0.001f}, 1}, {}, sky, std::vector<shaders::vec4>(scene.patches.size()));
   EXPECT_NEAR(d.direct(80, 60).x, 3.14159265f * 3.5f, 1e-2);  // straight up
   EXPECT_NEAR(d.direct(80, 60).y, 3.14159265f, 1e-3);
   EXPECT_EQ(d.direct(80, 60).w, 0);
@@ -183,9 +183,9 @@ TEST_F(Pictures, ShowTheSkyWhereThereIsNoSurface) {
 TEST_F(Pictures, InterpolateBetweenPatches) {
   ViewScene scene;
   addSheet(scene, {-8, 0, -8}, {0, 0, 16}, {16, 0, 0}, 16, 16, {1, 1, 1});
-  std::vector<uint32_t> patch_slot;
-  for (const formats::Node& n : scene.patches) patch_slot.push_back(n.centroid.x < 0 ? 0 : 1);
-  const Drawn d = draw(scene, {{0, 6, 0}, {0, 0, 0.001f}, 1}, {}, {}, {{10, 10, 10, 0}, {}}, patch_slot);
+  std::vector<shaders::vec4> reflected;
+  for (const formats::Node& n : scene.patches) reflected.push_back(n.centroid.x < 0 ? shaders::vec4{10, 10, 10, 0} : shaders::vec4{});
+  const Drawn d = draw(scene, {{0, 6, 0}, {0, 0, 0.001f}, 1}, {}, {}, reflected);
   float largest_step = 0, lowest = 1e9f, highest = -1e9f;
   for (uint32_t x = 0; x + 1 < 160; ++x) {
     const float a = d.bounced(x, 60).x, b = d.bounced(x + 1, 60).x;

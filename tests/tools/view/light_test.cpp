@@ -61,6 +61,63 @@ TEST(ViewLight, ComparesOnlyActivePatchesNearTheEye) {
   EXPECT_NEAR(all.difference[0], 0, 1e-6);
 }
 
+// A sheet of 16 x 4 patches along x. slot: of the patches whose centre is at x.
+struct Floor {
+  ViewScene scene;
+  std::vector<uint32_t> patch_slot;
+  template <class SlotAt>
+  explicit Floor(SlotAt slot) {
+    addSheet(scene, {0, 0, 0}, {0, 0, 4}, {16, 0, 0}, 4, 16);
+    for (const formats::Node& n : scene.patches) patch_slot.push_back(slot(n.centroid.x));
+  }
+  std::vector<shaders::vec4> light(const std::vector<shaders::vec4>& slots) const {
+    return patchLight(scene, weldScene(scene).neighbours, patch_slot, slots);
+  }
+};
+
+TEST(ViewLight, FallsSteadilyFromClusterToCluster) {
+  const Floor floor([](float x) { return static_cast<uint32_t>(x / 4); });  // four clusters of 4 x 4 patches
+  const auto light = floor.light({{5, 5, 5, 0}, {5, 5, 5, 0}, {4, 4, 4, 0}, {4, 4, 4, 0}});
+  for (uint32_t p = 0; p + 4 < 64; ++p) {  // the next one along x
+    EXPECT_GT(light[p].x, light[p + 4].x - 1e-5f);
+    EXPECT_LT(light[p].x - light[p + 4].x, 1.0f / 3) << "at x = " << floor.scene.patches[p].centroid.x;
+  }
+  for (uint32_t z = 0; z < 4; ++z) {
+    EXPECT_FLOAT_EQ(light[z].x, 5);
+    EXPECT_FLOAT_EQ(light[60 + z].x, 4);
+  }
+}
+
+TEST(ViewLight, KeepsTheContrastOfClustersThatDifferMuch) {
+  const Floor floor([](float x) { return static_cast<uint32_t>(x / 4); });
+  const auto light = floor.light({{1, 1, 1, 0}, {1, 1, 1, 0}, {1000, 1000, 1000, 0}, {1000, 1000, 1000, 0}});
+  for (uint32_t p = 0; p < 32; ++p) EXPECT_LT(light[p].x, 2);
+  for (uint32_t p = 32; p < 64; ++p) EXPECT_GT(light[p].x, 990);
+}
+
+// One cluster lies on both sides of the wall, and the next, beyond it, is brighter.
+TEST(ViewLight, DoesNotPassAWallWithinACluster) {
+  for (const bool wall : {false, true}) {
+    Floor floor([](float x) { return x < 4 ? 0u : x < 12 ? 1u : 2u; });
+    if (wall) addSheet(floor.scene, {11, 0, -1}, {0, 2, 0}, {0, 0, 6}, 2, 6);
+    floor.patch_slot.resize(floor.scene.patches.size(), 3);
+    const auto light = floor.light({{1, 1, 1, 0}, {1, 1, 1, 0}, {2, 2, 2, 0}, {1, 1, 1, 0}});
+    EXPECT_EQ(light[40].x > 1, !wall);  // at x = 10.5
+    EXPECT_GT(light[44].x, 1);          // beyond the wall
+  }
+}
+
+TEST(ViewLight, OfPatchesOfTheFinestLevelIsTheirOwn) {
+  ViewScene scene;
+  addSheet(scene, {0, 0, 0}, {0, 0, 4}, {16, 0, 0}, 4, 16);
+  std::vector<uint32_t> patch_slot;  // 32 patches, then two clusters
+  std::vector<shaders::vec4> slots;
+  for (uint32_t p = 0; p < 64; ++p) patch_slot.push_back(p < 32 ? p : p < 48 ? 32 : 33);
+  for (uint32_t s = 0; s < 34; ++s) slots.push_back({static_cast<float>(1 + s % 3), 1, 1, 0});
+  const auto light = patchLight(scene, weldScene(scene).neighbours, patch_slot, slots);
+  for (uint32_t p = 0; p < 32; ++p) EXPECT_EQ(light[p].x, slots[p].x);
+}
+
 TEST(ViewLight, SourceIsReflectedSunLampsAndSky) {
   ViewScene scene;
   addSheet(scene, {0, 0, 0}, {0, 0, 1}, {1, 0, 0}, 1, 1, {0.5f, 0.25f, 1}, {1, 2, 3});
