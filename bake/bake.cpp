@@ -30,9 +30,9 @@
 #include "bake/surface/patch_size.h"
 #include "bake/surface/patches.h"
 #include "bake/world_grids.h"
-#include "formats/strip_codec.h"
+#include "formats/codec/strip_codec.h"
 #include "formats/version.h"
-#include "formats/writer.h"
+#include "formats/write/writer.h"
 
 namespace ff::bake {
 namespace {
@@ -176,7 +176,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     node.sky_quadratic = row.sky_means.quadratic;
     appendLamps(row, exchange.area(n), lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
     const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
-    const float most = seen > 0 ? kMostReflected / seen : 1;
+    const float most = seen > 0 ? kMaxReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) {
       ++sampling.clamped;
       if (id.level == 0) sampling.clamped_patches.push_back(n);

@@ -15,7 +15,7 @@ namespace ff::bake {
 
 // The share of light that a node sees in other nodes and reflects may not exceed this in any channel, or a closed white room
 // would never lose any light: albedo is lowered where albedo * (1 - (sky + absorbed) / Q) is larger.
-inline constexpr float kMostReflected = 0.999f;
+inline constexpr float kMaxReflected = 0.999f;
 
 // A cluster lights as the mean of many receivers, so its row needs fewer samples than a patch's: Q times this (at least 1).
 inline constexpr double kClusterQuanta = 0.5;
@@ -53,7 +53,7 @@ struct BakeStats {
   double buried_fraction = 0;    // of the whole area; sealed surface as well
   std::vector<LevelStats> levels;
   std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
-  uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMostReflected
+  uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMaxReflected
   std::vector<NotModelled> not_modelled;
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };

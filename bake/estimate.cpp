@@ -88,7 +88,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
       const Vec3 at = (a + b + c) / 3.0f;
       uint64_t key = std::abs(n.x) > std::abs(n.y) ? (n.x < 0) : 2 + (n.y < 0);
       if (std::abs(n.z) > std::max(std::abs(n.x), std::abs(n.y))) key = 4 + (n.z < 0);
-      key += 6 * static_cast<uint64_t>(fineness + kMostFineness);
+      key += 6 * static_cast<uint64_t>(fineness + kMaxFineness);
       for (int k = 0; k < 3; ++k) key = mix64(key) + static_cast<uint64_t>(std::llround(std::floor(static_cast<double>(at[k]) / s)));
       if (small.insert(key).second) e.patches += sides;
     }

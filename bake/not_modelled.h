@@ -22,7 +22,7 @@ struct NotModelled {
 std::vector<NotModelled> notModelled(const Scene& scene);
 
 class PatchSet;
-// Of patches whose albedo was lowered (kMostReflected), by index into set.patches; nothing for none.
+// Of patches whose albedo was lowered (kMaxReflected), by index into set.patches; nothing for none.
 std::optional<NotModelled> loweredAlbedos(const Scene& scene, const PatchSet& set, std::span<const uint32_t> patches);
 
 }  // namespace ff::bake

@@ -98,7 +98,7 @@ SolverChoice chooseSolver(const LocalMatrix& m) {
   const auto mib = [](double bytes) { return std::to_string(static_cast<uint64_t>(bytes / 1048576)) + " MiB"; };
   choice.why = std::to_string(m.leaves.size()) + " leaves: the dense matrix is " + mib(dense) + ", " +
                std::to_string(static_cast<int>(iterations)) + " iterations over the rows read " + mib(sparse);
-  if (m.leaves.size() > kMostDenseLeaves || m.leaves.empty() || dense >= sparse) return choice;
+  if (m.leaves.size() > kMaxDenseLeaves || m.leaves.empty() || dense >= sparse) return choice;
   choice.kind = SolverKind::kMultibounce;
   return choice;
 }

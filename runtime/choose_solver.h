@@ -3,7 +3,7 @@
 #include <optional>
 #include <string>
 
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 #include "runtime/cut/local_matrix.h"
 #include "runtime/dense/bounce_matrix.h"
 
@@ -31,11 +31,11 @@ std::string settingsPath(const std::string& world_path);
 Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path,
                                                        formats::Storage& storage = *formats::posixStorage());
 
-inline constexpr uint32_t kMostDenseLeaves = 4096;
+inline constexpr uint32_t kMaxDenseLeaves = 4096;
 
 // By what a frame would have to read: the dense matrix once, against the rows as often as a step of light to under 1 %
 // of its first size takes: log 0.01 / log q iterations, q the share of light that a step keeps (the mean of albedo
-// times row sum over the leaves' area; at least one iteration). More than kMostDenseLeaves leaves: gather.
+// times row sum over the leaves' area; at least one iteration). More than kMaxDenseLeaves leaves: gather.
 SolverChoice chooseSolver(const LocalMatrix& matrix);
 
 }  // namespace ff::runtime

@@ -6,7 +6,7 @@
 #include <array>
 #include <cmath>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/solver/worker_pool.h"
 
 namespace ff::runtime {

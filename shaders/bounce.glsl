@@ -29,7 +29,7 @@ layout(std430, binding = 4) buffer Vectors { float vectors[]; };
 layout(std430, binding = 4) readonly buffer VectorFours { vec4 vector_fours[]; };
 layout(std430, binding = 5) buffer Status {
   uint status;  // not 0: the block was refused, nothing may be written
-  uint spoilt;  // not 0: so is all until the matrix is cleared (kSpoilt...)
+  uint corrupt;  // not 0: so is all until the matrix is cleared (kSpoilt...)
 };
 
 uint tallAt(uint c, uint place) { return c * push.stride + place; }

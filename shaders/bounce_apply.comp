@@ -8,7 +8,7 @@
 layout(local_size_x = kBounceGroup) in;
 
 void main() {
-  if ((status | spoilt) != 0u) return;
+  if ((status | corrupt) != 0u) return;
   const uint fours = push.used / 4u, groups = (fours + kBounceGroup - 1u) / kBounceGroup;
   const uint r = gl_WorkGroupID.x / groups;
   const uint four = gl_WorkGroupID.x % groups * kBounceGroup + gl_LocalInvocationID.x;

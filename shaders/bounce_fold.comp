@@ -10,7 +10,7 @@ shared vec4 tall[kFoldDepth][kBounceTile / 4u];
 shared vec4 wide[kFoldDepth][kBounceTile / 4u];
 
 void main() {
-  if ((status | spoilt) != 0u) return;
+  if ((status | corrupt) != 0u) return;
   const uint first_tile = push.first / kBounceTile;
   const uint across = (push.end + kBounceTile - 1u) / kBounceTile - first_tile;
   const uint row0 = gl_WorkGroupID.x / across * kBounceTile;

@@ -14,9 +14,9 @@ shared uint swapped[kBounceBlock];
 shared uint broken;
 
 #ifdef HALF
-const float kCarried = 1.0 / 4096.0, kMostError = 0.5;  // the matrix itself was rounded so
+const float kCarried = 1.0 / 4096.0, kMaxError = 0.5;  // the matrix itself was rounded so
 #else
-const float kCarried = 1.0 / 4194304.0, kMostError = 1.0 / 64.0;
+const float kCarried = 1.0 / 4194304.0, kMaxError = 1.0 / 64.0;
 #endif
 const float kRounded = 1.0 / 16777216.0;
 
@@ -98,7 +98,7 @@ void main() {
     }
     barrier();
     const float norm = largestRowSum();
-    if (!((carried * kCarried + kRounded) * norm <= kMostError)) broken = 1u;  // the same for all
+    if (!((carried * kCarried + kRounded) * norm <= kMaxError)) broken = 1u;  // the same for all
     for (uint at = t; at < k * k; at += kBounceGroup) {
       const float inverse = a[at / k][at % k];
       if (push.leaving == 0u && inverse < -1e-3 * norm) broken = 1u;
@@ -108,6 +108,6 @@ void main() {
   barrier();
   if (broken != 0u && t == 0u) {
     status = 1u;
-    if (push.leaving != 0u) spoilt = kSpoiltPrecision;  // those that should have left are still in the matrix
+    if (push.leaving != 0u) corrupt = kSpoiltPrecision;  // those that should have left are still in the matrix
   }
 }

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 
 namespace ff::stream {
 

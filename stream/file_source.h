@@ -3,7 +3,7 @@
 #pragma once
 #include <memory>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {

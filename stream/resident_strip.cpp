@@ -6,10 +6,10 @@
 namespace ff::stream {
 namespace {
 
-constexpr uint32_t kMostCount = 255;  // of one word
+constexpr uint32_t kMaxCount = 255;  // of one word
 constexpr uint32_t kMost16 = 0xffff;
 
-uint32_t wordsOf(uint32_t count) { return (count + kMostCount - 1) / kMostCount; }
+uint32_t wordsOf(uint32_t count) { return (count + kMaxCount - 1) / kMaxCount; }
 
 // Calls run(row, first entry, end) for the entries of a block that share a row.
 template <class Run>
@@ -69,7 +69,7 @@ Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile,
       uint32_t word = first;
       for (size_t k = from; k < end; ++k)
         for (uint32_t left = strip.counts[k]; left > 0;) {
-          const uint32_t count = std::min(left, kMostCount);
+          const uint32_t count = std::min(left, kMaxCount);
           packed.words[word++] = static_cast<uint16_t>(uint32_t{strip.columns[k]} << 8 | count);
           left -= count;
         }

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/chunk.h"
+#include "formats/codec/chunk.h"
 #include "formats/model.h"
 #include "formats/result.h"
 

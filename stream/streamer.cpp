@@ -41,16 +41,16 @@ class StreamerImpl final : public Streamer {
       : world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
-        cache_(settings.memory_bytes, wanted_.mostWanted() + kMoreCached),
+        cache_(settings.memory_bytes, settings.kept_bytes, wanted_.maxWanted() + kMoreCached),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.mostWanted(), wanted_.mostWanted() + kMoreCached) {
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted(), wanted_.maxWanted() + kMoreCached) {
     for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
     failures_.reserve(64);
     chunk_failures_.reserve(64);
-    previous_.reserve(wanted_.mostWanted());
-    missing_.reserve(wanted_.mostWanted());
-    active_.reserve(wanted_.mostWanted());
-    next_active_.reserve(wanted_.mostWanted());
+    previous_.reserve(wanted_.maxWanted());
+    missing_.reserve(wanted_.maxWanted());
+    active_.reserve(wanted_.maxWanted());
+    next_active_.reserve(wanted_.maxWanted());
   }
 
   Result<void> loadTop(std::span<const formats::ChunkPtr> top) {
@@ -158,6 +158,7 @@ class StreamerImpl final : public Streamer {
       cache_.setWanted(tile.id, true);
       previous_.push_back(tile.id);
     }
+    cache_.trim(loader_.retired());
     wanted_.forget(loader_.retired());
   }
 

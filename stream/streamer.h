@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -22,6 +22,7 @@ struct StreamSettings {
   float growth = 1.6f;                          // g: r_l = r_0 * g^l
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
+  uint64_t kept_bytes = uint64_t{8} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 4096;             // likewise, for active patches
   uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
                                                 // free, so that a tile that enters finds consecutive ones

@@ -17,8 +17,8 @@ namespace {
 bool isAfter(uint32_t a, uint32_t b) { return static_cast<int32_t>(a - b) > 0; }
 
 constexpr const char* kOutOfMemory = "out of memory";  // short enough for a string to need none
-constexpr size_t kMostChunks = 1024;                    // asked for at once; more wait for the next time
-constexpr size_t kMostArrivedChunks = 64;               // that wait to be taken
+constexpr size_t kMaxChunks = 1024;                    // asked for at once; more wait for the next time
+constexpr size_t kMaxArrivedChunks = 64;               // that wait to be taken
 
 }  // namespace
 
@@ -38,23 +38,23 @@ Result<StripPtr> readResident(const formats::World& world, const TileRef& tile) 
 }
 
 StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
-                         size_t most_queued, size_t most_retired)
+                         size_t max_queued, size_t max_retired)
     : world_(world),
       source_(source),
       depth_(static_cast<size_t>(std::max(depth, 1))) {
   // Lists change places when they are handed over, so each has room for the most that any of them can hold.
   for (Queue* queue : {&next_, &submitted_, &incoming_, &queue_}) {
-    queue->tiles.reserve(most_queued);
-    queue->chunks.reserve(kMostChunks);
+    queue->tiles.reserve(max_queued);
+    queue->chunks.reserve(kMaxChunks);
   }
-  sorted_.reserve(most_queued);
-  const size_t most_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
-  for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(most_arrived);
-  for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMostArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
-  for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(most_retired + 2 * most_arrived);
+  sorted_.reserve(max_queued);
+  const size_t max_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
+  for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
+  for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
+  for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
   under_way_.reserve(depth_);
   chunks_under_way_.reserve(static_cast<size_t>(std::max(decode_threads, 1)));
-  since_taken_.reserve(4 * most_arrived);
+  since_taken_.reserve(4 * max_arrived);
   startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
 }
 
@@ -71,7 +71,7 @@ StripLoader::~StripLoader() {
 }
 
 void StripLoader::submit() {
-  if (next_.chunks.size() > kMostChunks) next_.chunks.erase(next_.chunks.begin(), next_.chunks.end() - kMostChunks);
+  if (next_.chunks.size() > kMaxChunks) next_.chunks.erase(next_.chunks.begin(), next_.chunks.end() - kMaxChunks);
   next_.taken = taken_count_;
   {
     const std::lock_guard lock(hand_over_mutex_);
@@ -229,7 +229,7 @@ void StripLoader::countQueued() {
 std::optional<ChunkRequest> StripLoader::nextChunk() {
   const std::lock_guard lock(pipeline_mutex_);
   std::optional<ChunkRequest> found;
-  while (!found && !stop_ && !queue_.chunks.empty() && arrived_chunk_count_.load() < kMostArrivedChunks) {
+  while (!found && !stop_ && !queue_.chunks.empty() && arrived_chunk_count_.load() < kMaxArrivedChunks) {
     ChunkRequest request = std::move(queue_.chunks.back());
     queue_.chunks.pop_back();
     if (std::ranges::find(chunks_under_way_, request.id()) == chunks_under_way_.end()) found = std::move(request);

@@ -14,7 +14,7 @@
 #include <thread>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -51,9 +51,9 @@ class StripLoader {
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
   // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
-  // most_queued: tiles in a queue, at most. most_retired: strips that leave at once, at most.
-  StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t most_queued,
-              size_t most_retired);
+  // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most.
+  StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
+              size_t max_retired);
   // Drops the queue, cancels the reads that are under way and waits for their answers.
   ~StripLoader();
 

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "formats/strip_codec.h"
+#include "formats/codec/strip_codec.h"
 
 namespace ff::stream {
 
@@ -37,9 +37,9 @@ WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& sett
     tiles += level.tiles;
   }
   // A tile has a node at least, and is offered once.
-  most_wanted_ = std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles));
-  wanted_.reserve(most_wanted_);
-  wanted_before_.reserve(most_wanted_);
+  max_wanted_ = std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles));
+  wanted_.reserve(max_wanted_);
+  wanted_before_.reserve(max_wanted_);
   heap_.reserve(std::min(tiles, kHeapAtFirst));
   chunks_.reserve(kChunksAtFirst);
   missing_.reserve(kMissingAtFirst);

@@ -42,7 +42,7 @@ class WantedTiles {
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
   bool isWanted(formats::TileId id) const { return contains(wanted_, id); }
   // Tiles of a walk, at most.
-  size_t mostWanted() const { return most_wanted_; }
+  size_t maxWanted() const { return max_wanted_; }
   float radius(uint32_t level) const { return radius_m_[level]; }
   size_t chunks() const { return chunks_.size(); }
 
@@ -68,7 +68,7 @@ class WantedTiles {
 
   const formats::World& world_;
   const StreamSettings settings_;
-  size_t most_wanted_ = 0;
+  size_t max_wanted_ = 0;
   std::vector<float> radius_m_;  // per level
   TileMap<Here> chunks_;         // by their first tile
   uint32_t walks_ = 0;

@@ -100,16 +100,16 @@ std::string shown(std::string name) {
 
 // The last block: nothing where there is nothing to say.
 void printNotModelled(const std::vector<ff::bake::NotModelled>& lines) {
-  constexpr size_t kMostNames = 8;
+  constexpr size_t kMaxNames = 8;
   if (!lines.empty()) fmt::print("not modelled here\n");
   for (const auto& line : lines) {
     fmt::print("  {}\n", shown(line.what));
     if (line.names.empty()) continue;
     fmt::print("    {} {}, {} triangles, {:.3g} % of the surface:", line.names.size(),
                line.names.size() == 1 ? "material" : "materials", line.triangles, line.area_share * 100);
-    for (size_t i = 0; i < std::min(kMostNames, line.names.size()); ++i)
+    for (size_t i = 0; i < std::min(kMaxNames, line.names.size()); ++i)
       fmt::print("{} {}", i == 0 ? "" : ",", shown(line.names[i]));
-    if (line.names.size() > kMostNames) fmt::print(" and {} more", line.names.size() - kMostNames);
+    if (line.names.size() > kMaxNames) fmt::print(" and {} more", line.names.size() - kMaxNames);
     fmt::print("\n");
   }
 }
@@ -153,7 +153,7 @@ int main(int argc, char** argv) {
       ->transform(CLI::AsSizeValue(true))
       ->capture_default_str();
   app.add_option("--rays", settings.rays, "rays per patch, 1 to 65535")->capture_default_str();
-  app.add_option("--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
+  app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
   app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")

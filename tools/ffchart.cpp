@@ -7,8 +7,8 @@
 #include <string>
 #include <thread>
 
+#include "formats/read/whole_world.h"
 #include "formats/version.h"
-#include "formats/whole_world.h"
 #include "tools/chart/answer.h"
 #include "tools/chart/eyes.h"
 #include "tools/chart/page/json_report.h"

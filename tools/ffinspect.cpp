@@ -5,8 +5,8 @@
 #include <cstdio>
 #include <functional>
 
+#include "formats/read/whole_world.h"
 #include "formats/version.h"
-#include "formats/whole_world.h"
 #include "tools/inspect/inspect.h"
 
 namespace {

@@ -44,11 +44,11 @@ HeaderCounts peek(const Bytes& bytes) {
   return out;
 }
 
-// Draco's own, which stops before its attributes, of which a file may ask for any number a vertex, take more than `most_bytes`.
+// Draco's own, which stops before its attributes, of which a file may ask for any number a vertex, take more than `max_bytes`.
 template <class Base>
 class CappedDecoder final : public Base {
  public:
-  CappedDecoder(uint64_t most_bytes, uint64_t* bytes) : most_bytes_(most_bytes), bytes_(bytes) {}
+  CappedDecoder(uint64_t max_bytes, uint64_t* bytes) : max_bytes_(max_bytes), bytes_(bytes) {}
 
  protected:
   bool DecodeAllAttributes() override {
@@ -58,24 +58,24 @@ class CappedDecoder final : public Base {
       a_point += static_cast<uint64_t>(attribute.byte_stride()) + uint64_t{attribute.num_components()} * sizeof(int32_t);
     }
     *bytes_ = a_point * this->mesh()->num_points();
-    return *bytes_ <= most_bytes_ && Base::DecodeAllAttributes();
+    return *bytes_ <= max_bytes_ && Base::DecodeAllAttributes();
   }
 
  private:
-  const uint64_t most_bytes_;
+  const uint64_t max_bytes_;
   uint64_t* const bytes_;
 };
 
 // attribute_bytes: what its attributes ask for, in any case.
-draco::Status decodeMesh(draco::DecoderBuffer& buffer, uint64_t most_bytes, draco::Mesh& mesh, uint64_t& attribute_bytes) {
+draco::Status decodeMesh(draco::DecoderBuffer& buffer, uint64_t max_bytes, draco::Mesh& mesh, uint64_t& attribute_bytes) {
   draco::DecoderBuffer head(buffer);
   draco::DracoHeader header;
   if (auto ok = draco::PointCloudDecoder::DecodeHeader(&head, &header); !ok.ok()) return ok;
   if (header.encoder_type != draco::TRIANGULAR_MESH) return draco::Status(draco::Status::DRACO_ERROR, "the data is no triangle mesh");
   if (header.encoder_method == draco::MESH_SEQUENTIAL_ENCODING)
-    return CappedDecoder<draco::MeshSequentialDecoder>(most_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
+    return CappedDecoder<draco::MeshSequentialDecoder>(max_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
   if (header.encoder_method == draco::MESH_EDGEBREAKER_ENCODING)
-    return CappedDecoder<draco::MeshEdgebreakerDecoder>(most_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
+    return CappedDecoder<draco::MeshEdgebreakerDecoder>(max_bytes, &attribute_bytes).Decode({}, &buffer, &mesh);
   return draco::Status(draco::Status::DRACO_ERROR, "unknown method");
 }
 

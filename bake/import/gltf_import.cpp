@@ -334,7 +334,7 @@ Result<Scene> importGltf(const std::string& path, const ImportLimits& limits) {
     if (const auto origin = originOf(scene); origin != std::array<double, 3>{}) scene = build(origin);
     scene.content_hash = contentHash(scene);
     return scene;
-  } catch (Fault& fault) {
+  } catch (ImportError& fault) {
     fault.error.file = path;
     return fault.error;
   } catch (const std::bad_alloc&) {

@@ -76,7 +76,7 @@ std::optional<Value> Pictures::firstOf(int texture, std::map<Key, Value>& known,
         const auto fault = faults_.find(*key);
         if (fault == faults_.end()) return known.emplace(*key, make(source)).first->second;
         error = fault->second;
-      } catch (const Fault& fault) {
+      } catch (const ImportError& fault) {
         error = fault.error;
         if (key) faults_.emplace(*key, *error);
       }

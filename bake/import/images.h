@@ -14,8 +14,8 @@ namespace ff::bake::gltf {
 
 class Pictures {
  public:
-  Pictures(const Document& document, Scene& scene, Budget& budget, uint64_t most_decoded_bytes)
-      : document_(document), scene_(scene), budget_(budget), decodable_(most_decoded_bytes) {}
+  Pictures(const Document& document, Scene& scene, Budget& budget, uint64_t max_decoded_bytes)
+      : document_(document), scene_(scene), budget_(budget), decodable_(max_decoded_bytes) {}
 
   // Number in Scene::images of a texture's picture: of the first of its images that can be read. What is missing, broken,
   // too large or of another format is a warning, said once a picture, and kNone is returned.

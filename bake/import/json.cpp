@@ -32,11 +32,11 @@ double toNumber(const Json& value, const std::string& place, const char* key) {
 }  // namespace
 
 void refuse(const std::string& place, const std::string& message, const std::string& remedy) {
-  throw Fault{{ErrorCode::kInvalidFile, "", place, message, remedy.empty() ? "re-export the file" : remedy}};
+  throw ImportError{{ErrorCode::kInvalidFile, "", place, message, remedy.empty() ? "re-export the file" : remedy}};
 }
 
 void refuseIo(const std::string& place, const std::string& message, const std::string& remedy) {
-  throw Fault{{ErrorCode::kIo, "", place, message, remedy}};
+  throw ImportError{{ErrorCode::kIo, "", place, message, remedy}};
 }
 
 std::string printable(const std::string& text) {

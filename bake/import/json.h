@@ -1,4 +1,4 @@
-// Typed, checked access to parsed JSON, and the way faults travel inside the importer: they are thrown as Fault and
+// Typed, checked access to parsed JSON, and the way faults travel inside the importer: they are thrown as ImportError and
 // become ff::Error in importGltf(), which alone knows the file's name. Private to this folder.
 #pragma once
 #include <cstdint>
@@ -13,7 +13,7 @@ namespace ff::bake::gltf {
 
 using Json = nlohmann::json;
 
-struct Fault {
+struct ImportError {
   Error error;
 };
 

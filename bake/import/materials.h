@@ -13,8 +13,8 @@ namespace ff::bake::gltf {
 
 class Materials {
  public:
-  Materials(const Document& document, Scene& scene, Budget& budget, uint64_t most_decoded_bytes)
-      : document_(document), scene_(scene), budget_(budget), pictures_(document, scene, budget, most_decoded_bytes) {}
+  Materials(const Document& document, Scene& scene, Budget& budget, uint64_t max_decoded_bytes)
+      : document_(document), scene_(scene), budget_(budget), pictures_(document, scene, budget, max_decoded_bytes) {}
 
   // Number in Scene::materials of a document's material (-1: none named), read on first use.
   uint32_t number(int material);

@@ -36,7 +36,7 @@ namespace {
 constexpr uint64_t kLargestFile = uint64_t{1} << 30;  // the decoders count in int
 // What a byte of a file can come to. DEFLATE: RFC 1951, 258 bytes for 2 bits. JPEG: a block of 64 samples takes 2 bits in
 // a sequential scan, less in a progressive one, and may stand for four pixels a sample.
-constexpr uint64_t kMostInflated = 1032, kMostJpegPixels = 4096;
+constexpr uint64_t kMaxInflated = 1032, kMaxJpegPixels = 4096;
 
 enum class Format { kPng, kJpeg, kWebp, kOther };
 struct Signature {
@@ -91,7 +91,7 @@ PictureSize pngSize(const Bytes& bytes, const std::string& place) {
     at += length + kChunkFrame;
   }
   const uint64_t row = (uint64_t{size.width} * channels * depth + 7) / 8 + 1;
-  if (row * size.height > compressed * kMostInflated) refuse(place, "the PNG is cut short");
+  if (row * size.height > compressed * kMaxInflated) refuse(place, "the PNG is cut short");
   return size;
 }
 
@@ -101,7 +101,7 @@ PictureSize jpegSize(tjhandle jpeg, const Bytes& bytes, const std::string& place
     refuse(place, "broken JPEG: " + printable(tjGetErrorStr2(jpeg)));
   if (space == TJCS_CMYK || space == TJCS_YCCK) refuse(place, "a JPEG of four inks, which glTF does not allow");
   const PictureSize size{static_cast<uint32_t>(width), static_cast<uint32_t>(height)};
-  if (uint64_t{size.width} * size.height > bytes.size * kMostJpegPixels) refuse(place, "the JPEG is cut short");
+  if (uint64_t{size.width} * size.height > bytes.size * kMaxJpegPixels) refuse(place, "the JPEG is cut short");
   return size;
 }
 

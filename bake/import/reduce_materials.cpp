@@ -9,7 +9,7 @@ namespace ff::bake::gltf {
 namespace {
 
 constexpr uint64_t kMaterialBytes = 6000;  // reduced and as tinygltf's structures: measured with 50,000
-constexpr uint64_t kMostTexCoords = 64;
+constexpr uint64_t kMaxTexCoords = 64;
 constexpr double kLargestEmission = 3e11;  // W/(m2 sr)
 static_assert(kLargestEmission * std::numbers::pi < static_cast<double>(formats::kMaxEmission));
 
@@ -44,7 +44,7 @@ std::optional<Json> texture(const Item& owner, const char* key, size_t texture_c
     set = transform->integer("texCoord").value_or(set);
     out["extensions"]["KHR_texture_transform"] = std::move(t);
   }
-  if (set >= kMostTexCoords) refuse(info->place(), "texCoord " + std::to_string(set) + " is too large");
+  if (set >= kMaxTexCoords) refuse(info->place(), "texCoord " + std::to_string(set) + " is too large");
   out["texCoord"] = set;
   return out;
 }

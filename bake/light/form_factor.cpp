@@ -12,7 +12,7 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kMostTogether = 128;  // patches cast by one task
+constexpr size_t kMaxTogether = 128;  // patches cast by one task
 constexpr int kTogetherLog = 2;        // the cube of cells that they lie in
 constexpr size_t kGrain = 64;          // rows renumbered by one task
 
@@ -35,7 +35,7 @@ struct Part {
 std::vector<size_t> castTogether(const PatchSet& set) {
   std::vector<size_t> start;
   for (size_t i = 0; i < set.patches.size(); ++i)
-    if (i == 0 || i - start.back() == kMostTogether ||
+    if (i == 0 || i - start.back() == kMaxTogether ||
         hilbertAncestor(set.patches[i].key, kTogetherLog) != hilbertAncestor(set.patches[i - 1].key, kTogetherLog))
       start.push_back(i);
   start.push_back(set.patches.size());
@@ -71,7 +71,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.narrow.assign(n, 0);
   std::vector<Part> parts(groups);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
-    return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kMostTogether),
+    return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kMaxTogether),
                    LampLight(scene, set, caster, lamps, rays, seed), {}};
   });
   tbb::parallel_for(size_t{0}, groups, [&](size_t c) {
@@ -111,7 +111,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
       }
       for (auto* reached : {&sky.look, &sky.main})
         for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
-      for (const uint32_t hits : near) if (hits > kMostRays * rows.rays[i]) ++rows.narrow[i];
+      for (const uint32_t hits : near) if (hits > kMaxRays * rows.rays[i]) ++rows.narrow[i];
       if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
       std::sort(s.touched.begin(), s.touched.end());
       for (uint32_t j : s.touched) {

@@ -22,10 +22,10 @@
 
 namespace ff::bake {
 
-// A patch is narrow where most of its rays (kMostRays) end within four cells, as in an alley or a thick wall, and very narrow
+// A patch is narrow where most of its rays (kMaxRays) end within four cells, as in an alley or a thick wall, and very narrow
 // where they end within one.
 inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
-inline constexpr double kMostRays = 0.6;
+inline constexpr double kMaxRays = 0.6;
 
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
 struct HitRows {

@@ -31,8 +31,8 @@ LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group) {
 
 LampLight::LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t rays,
                      uint64_t seed)
-    : scene_(scene), set_(set), caster_(caster), tree_(tree), row_rays_(rays), most_rays_(std::max(rays, kLeastRays)), seed_(seed),
-      sobol_(most_rays_), aim_of_node_(tree.nodes()) {}
+    : scene_(scene), set_(set), caster_(caster), tree_(tree), row_rays_(rays), max_rays_(std::max(rays, kLeastRays)), seed_(seed),
+      sobol_(max_rays_), aim_of_node_(tree.nodes()) {}
 
 void LampLight::aim(uint32_t patch) {
   patch_ = patch;
@@ -54,7 +54,7 @@ void LampLight::aim(uint32_t patch) {
   }
   setChances();
 
-  points_.resize(std::max(kLeastRays, most_rays_ / kLookShare));
+  points_.resize(std::max(kLeastRays, max_rays_ / kLookShare));
   surfacePoints(scene_, set_, patch, sobol_, seed_ ^ kLookSeed, caster_, points_);
   std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1), square(aims_.size());
   double mean = 0;
@@ -82,7 +82,7 @@ void LampLight::aim(uint32_t patch) {
   }
   setChances();
   const double wanted = mean > 0 ? std::max(0.0, second / (mean * mean) - 1) / (kError * kError) : 0;
-  count_ = std::max({kLeastRays, most_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(most_rays_, wanted))});
+  count_ = std::max({kLeastRays, max_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(max_rays_, wanted))});
 }
 
 LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) const {

@@ -50,7 +50,7 @@ class LampLight {
   const PatchSet& set_;
   const RayCaster& caster_;
   const LampTree& tree_;
-  const uint32_t row_rays_, most_rays_;
+  const uint32_t row_rays_, max_rays_;
   const uint64_t seed_;
   const SobolTable sobol_;
   uint32_t patch_ = 0, count_ = 0;        // count: rays towards lamps

@@ -14,7 +14,7 @@ constexpr uint32_t kGuidedShare = 4;    // of a row's rays: so many are guided
 constexpr float kNeighbourCells = 4;
 constexpr float kBeside = 0.25f;        // a bin around gets this much of what the one in the middle gets
 constexpr float kBinRadians = 0.04f;    // about the width of a bin
-constexpr int kMostBeside = 4;          // bins
+constexpr int kMaxBeside = 4;          // bins
 constexpr size_t kGuidingRays = 1000;   // of a neighbourhood, at most: evenly taken of all
 constexpr float kHorizon = -0.1f;       // cosine
 constexpr uint64_t kSeed = 0x736b7921;
@@ -98,7 +98,7 @@ void SkyGuide::clear() {
 void SkyGuide::add(Vec3 direction, float radius) {
   const auto at = folded(direction);
   const auto x = static_cast<int>(binOf(at[0])), y = static_cast<int>(binOf(at[1])), n = static_cast<int>(kBins);
-  const int reach = std::clamp(static_cast<int>(std::ceil(radius / kBinRadians)), 1, kMostBeside);
+  const int reach = std::clamp(static_cast<int>(std::ceil(radius / kBinRadians)), 1, kMaxBeside);
   for (int dy = -reach; dy <= reach; ++dy)
     for (int dx = -reach; dx <= reach; ++dx)
       if (x + dx >= 0 && x + dx < n && y + dy >= 0 && y + dy < n)

@@ -50,7 +50,7 @@ Rgba interpolate(const std::vector<Rgba>& colors, const Triangle& t, float b, fl
 }
 
 // Largest share of the light that a material stops anywhere.
-float mostSolid(const Material& m) { return (m.blend ? m.alpha : 1) * (1 - m.transmission); }
+float maxSolid(const Material& m) { return (m.blend ? m.alpha : 1) * (1 - m.transmission); }
 
 float chance(uint32_t t, float b, float c) {
   const uint64_t point = uint64_t{std::bit_cast<uint32_t>(b)} << 32 | std::bit_cast<uint32_t>(c);
@@ -88,11 +88,11 @@ bool isHole(const Scene& scene, uint32_t t, float b, float c) {
 }
 
 bool mayStart(const Scene& scene, uint32_t t, float b, float c) {
-  const float solid = solidity(scene, t, b, c), most = mostSolid(scene.materials[scene.triangles[t].material]);
+  const float solid = solidity(scene, t, b, c), most = maxSolid(scene.materials[scene.triangles[t].material]);
   return solid >= most || chance(t, b, c) * most < solid;
 }
 
-bool isSeenThrough(const Material& material) { return material.cutout && mostSolid(material) < 0.5f; }
+bool isSeenThrough(const Material& material) { return material.cutout && maxSolid(material) < 0.5f; }
 
 std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p) {
   const auto& v = scene.triangles[t].v;
@@ -119,9 +119,9 @@ float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, f
   double wanted = 1;
   if (base) wanted = kLeastPoints;
   if (glow) wanted = kLeastLampPoints;
-  if (tinted && m.cutout) wanted = kMostPoints;
-  if (base) wanted = std::max(wanted, std::min(texels(scene.uv0, m.base_image), kMostPoints));
-  if (glow) wanted = std::max(wanted, std::min(texels(scene.uv1, m.emission_image), kMostLampPoints));
+  if (tinted && m.cutout) wanted = kMaxPoints;
+  if (base) wanted = std::max(wanted, std::min(texels(scene.uv0, m.base_image), kMaxPoints));
+  if (glow) wanted = std::max(wanted, std::min(texels(scene.uv1, m.emission_image), kMaxLampPoints));
   const auto points = static_cast<uint32_t>(wanted);
   float solid = 0;
   Vec3 colour, light;

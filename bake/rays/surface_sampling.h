@@ -21,9 +21,9 @@ bool isSeenThrough(const Material& material);
 std::pair<float, float> barycentric(const Scene& scene, uint32_t t, Vec3 p);
 
 // Area-weighted means over pieces. Vertex colours are linear over a piece and averaged exactly; pictures at about a point a
-// texel, well spread, kLeastPoints to kMostPoints of them, or kLeastLampPoints to kMostLampPoints where the surface emits what a picture
+// texel, well spread, kLeastPoints to kMaxPoints of them, or kLeastLampPoints to kMaxLampPoints where the surface emits what a picture
 // says: a small bright spot must not be missed.
-inline constexpr double kLeastPoints = 16, kMostPoints = 256, kLeastLampPoints = 64, kMostLampPoints = 16384;
+inline constexpr double kLeastPoints = 16, kMaxPoints = 256, kLeastLampPoints = 64, kMaxLampPoints = 16384;
 class SurfaceMean {
  public:
   explicit SurfaceMean(float metals) : metals_(metals) {}  // see PatchSettings::metals

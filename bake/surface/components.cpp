@@ -12,7 +12,7 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kMostPairs = 400;  // pieces of one place: past this it is crowded, and crumbs are joined by nearness anyway
+constexpr size_t kMaxPairs = 400;  // pieces of one place: past this it is crowded, and crumbs are joined by nearness anyway
 constexpr double kOwnPatch = 0.1;   // of a crumb's largest area: a fenced one that is larger has a patch of its own
 constexpr int kSteps = 2;           // from crumb to crumb to a patch: out of the corner of a room
 constexpr double kTiny = 0.02;      // likewise: crumbs that are less together join a patch of another orientation
@@ -81,7 +81,7 @@ class Labeller {
       std::sort(corners.begin(), corners.end());
       for (size_t k = 1; k < corners.size(); ++k)
         if (corners[k].first == corners[k - 1].first) sets.join(corners[k].second, corners[k - 1].second);
-      if (n <= kMostPairs)
+      if (n <= kMaxPairs)
         for (uint32_t i = 0; i < n; ++i)
           for (uint32_t j = i + 1; j < n; ++j)
             if (sets.find(i) != sets.find(j)) joinPair(begin, i, j, sets);

@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kHairCells = 1e-3;
 constexpr double kHairsOffBorder = 0.25;  // a fence so near a border stands on it
-constexpr size_t kMostFences = 256, kMostParts = 256;  // of a piece: past them, the longest fences count
+constexpr size_t kMaxFences = 256, kMaxParts = 256;  // of a piece: past them, the longest fences count
 constexpr int kLooks = 8;  // along a border
 
 struct Plane {
@@ -108,7 +108,7 @@ void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Part>&
   const auto crossing = [&](const Point& lo, const Point& hi) { return lo + (hi - lo) * (side(lo) / (side(lo) - side(hi))); };
   const size_t before = parts.size();
   Polygon below, above;
-  for (size_t i = 0; i < before && parts.size() + 2 <= 2 * kMostParts; ++i) {
+  for (size_t i = 0; i < before && parts.size() + 2 <= 2 * kMaxParts; ++i) {
     if (parts[i].cut) continue;
     Segment inside = fence;
     if (!clipInside(parts[i].polygon, normal, eps, inside) || length(inside.b - inside.a) <= eps) continue;
@@ -192,7 +192,7 @@ Fences::Found Fences::find(const Piece& piece) const {
     const auto key = [](const Segment& x) { return std::tuple(-length(x.b - x.a), x.a.x, x.a.y, x.a.z, x.b.x, x.b.y, x.b.z); };
     return key(s) < key(t);
   });
-  if (found.fences.size() > kMostFences) found.fences.resize(kMostFences);
+  if (found.fences.size() > kMaxFences) found.fences.resize(kMaxFences);
   dropDangling(piece.polygon, 2 * hair, found.fences);
   return found;
 }

@@ -10,11 +10,11 @@
 
 namespace ff::bake {
 
-inline constexpr int kMostFineness = 4;  // log2(kLargestDensity)
+inline constexpr int kMaxFineness = 4;  // log2(kLargestDensity)
 
 inline int finenessOf(float density) {
   const double square = static_cast<double>(density) * static_cast<double>(density);
-  return std::clamp((std::ilogb(square) + 1) >> 1, -kMostFineness, kMostFineness);
+  return std::clamp((std::ilogb(square) + 1) >> 1, -kMaxFineness, kMaxFineness);
 }
 
 inline int finenessOf(const Scene& scene, uint32_t triangle) { return finenessOf(scene.materials[scene.triangles[triangle].material].density); }
@@ -32,7 +32,7 @@ inline Cell baseCell(Cell own, int fineness) {
 inline uint16_t placeInBaseCell(Cell own, int fineness) {
   if (fineness <= 0) return 0;
   for (int32_t& x : own) x &= (1 << fineness) - 1;
-  return static_cast<uint16_t>(hilbertKey(own) & ((1u << 3 * kMostFineness) - 1));
+  return static_cast<uint16_t>(hilbertKey(own) & ((1u << 3 * kMaxFineness) - 1));
 }
 
 }  // namespace ff::bake

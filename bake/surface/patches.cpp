@@ -40,7 +40,7 @@ class PatchBuilder {
       return Error{ErrorCode::kUsage, scene_.name, "", "patch size must be positive", "give --patch-size in metres"};
     float largest = 0;
     for (uint32_t t = 0; t < scene_.triangles.size(); ++t) largest = std::max(largest, largestCoordinate(scene_, t));
-    if (largest / s >= static_cast<float>(kCellBias - (2 << kMostFineness)))
+    if (largest / s >= static_cast<float>(kCellBias - (2 << kMaxFineness)))
       return Error{ErrorCode::kUsage, scene_.name, "", "the scene spans more than 2^20 cells from the origin",
                    "use a larger --patch-size"};
     std::optional<Fences> fences;

@@ -13,7 +13,7 @@
 namespace ff::bake {
 namespace {
 
-// kFew rays that all go far say that surface is open; else kMostProbes, or kOfCrumbs of what is under kCrumbCells of a cell's
+// kFew rays that all go far say that surface is open; else kMaxProbes, or kOfCrumbs of what is under kCrumbCells of a cell's
 // face, are cast. Hidden origins, more than half, or kClosed of the rays of the others ending within kNear cells are what sealed
 // surface has. In the second case kWalks random walks of kBounces look for a way out, kOut cells from where they start, or a lamp.
 // Distances are in base cells, whatever the fineness: whether light gets to a place is not for its patches to say.
@@ -60,8 +60,8 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
   for (const double x : {first.polygon[0].x, first.polygon[0].y, first.polygon[0].z}) id = mix64(id) + std::bit_cast<uint64_t>(x);
   const auto seeds = SobolTable::seeds(0, id);
   uint32_t origins = 0, hidden = 0, near = 0;
-  std::array<Ray, kMostProbes> rays;  // those that end near
-  for (uint32_t k = 0; k < (area < kCrumbCells * faceCells(first.fineness) ? kOfCrumbs : kMostProbes); ++k) {
+  std::array<Ray, kMaxProbes> rays;  // those that end near
+  for (uint32_t k = 0; k < (area < kCrumbCells * faceCells(first.fineness) ? kOfCrumbs : kMaxProbes); ++k) {
     if (k == kFew && near == 0 && (hidden == 0 || hidden == origins)) break;
     const auto u = points_.point(k, seeds);
     const double x = static_cast<double>(u[0]) * area;

@@ -28,14 +28,14 @@ class SealedSurface {
   bool isSealed(std::span<const PieceSide> surface) const;
 
  private:
-  static constexpr uint32_t kMostProbes = 32;
+  static constexpr uint32_t kMaxProbes = 32;
   bool getsOut(Ray ray, uint64_t seed) const;
 
   const Scene& scene_;
   const RayCaster& caster_;
   const Fences& fences_;
   float cell_m_;
-  SobolTable points_{kMostProbes};
+  SobolTable points_{kMaxProbes};
 };
 
 }  // namespace ff::bake

@@ -87,6 +87,7 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   streaming.growth = s.growth;
   streaming.hysteresis = s.hysteresis;
   streaming.memory_bytes = s.memory_bytes;
+  streaming.kept_bytes = s.kept_bytes;
   streaming.max_level0_nodes = s.max_patches;
   streaming.max_nodes = s.max_nodes;
   streaming.decode_threads = static_cast<int>(s.decode_threads);
@@ -155,7 +156,7 @@ FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<format
   if (settings.probes > 0) {
     ProbeSettings probe_settings;
     probe_settings.rays = settings.probe_rays;
-    probe_settings.most_kept = settings.probes;
+    probe_settings.max_kept = settings.probes;
     probe_settings.facet_bytes = settings.probe_memory_bytes;
     probes.emplace(*world, slots, probe_settings);
   }
@@ -215,7 +216,7 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
 Result<void> FormfieldWorld_T::readRadiosity() {
   radiosity.resize(updater.matrix().slots());
   if (auto read = updater.reflected(radiosity); !read) return read;
-  residual = residual_probe.look(updater.matrix(), updater.source(), radiosity);
+  residual = residual_monitor.look(updater.matrix(), updater.source(), radiosity);
   updater.addEmission(radiosity);
   return {};
 }
@@ -310,6 +311,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->growth = streaming.growth;
   settings->hysteresis = streaming.hysteresis;
   settings->memory_bytes = streaming.memory_bytes;
+  settings->kept_bytes = streaming.kept_bytes;
   settings->max_patches = streaming.max_level0_nodes;
   settings->max_nodes = streaming.max_nodes;
   settings->decode_threads = 1;

@@ -83,6 +83,7 @@ typedef struct FormfieldWorldSettings {
   float growth;                /* of the radius from level to level */
   float hysteresis;            /* tiles leave this factor farther away than they enter */
   uint64_t memory_bytes;       /* of strips in memory */
+  uint64_t kept_bytes;         /* of these, of strips that are wanted no more: for the observer's return */
   uint32_t max_patches;        /* active at once */
   uint32_t max_nodes;          /* of all levels, up to FORMFIELD_MAX_SLOTS */
   uint32_t decode_threads;

@@ -14,7 +14,7 @@
 #include "runtime/cut/slot_map.h"
 #include "runtime/dense/dense_solver.h"
 #include "runtime/probes/probes.h"
-#include "runtime/solver/residual_probe.h"
+#include "runtime/solver/residual_monitor.h"
 #include "runtime/updater.h"
 
 namespace ff::runtime {
@@ -101,7 +101,7 @@ struct FormfieldWorld_T {
   ff::runtime::SlotMap slots;
   std::set<ff::formats::ChunkPtr> listed;  // that hold patches whose slots were asked for by number: they will be again
   std::optional<ff::runtime::Probes> probes;
-  ff::runtime::ResidualProbe residual_probe;
+  ff::runtime::ResidualMonitor residual_monitor;
   ff::runtime::Sky sky;
   FormfieldDirectLight direct_light = nullptr;
   void* direct_light_user = nullptr;

@@ -10,7 +10,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "stream/resident_strip.h"
 
 namespace ff::runtime {

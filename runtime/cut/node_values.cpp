@@ -1,6 +1,6 @@
 #include "runtime/cut/node_values.h"
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::runtime {
 

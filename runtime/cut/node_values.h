@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 
 namespace ff::runtime {

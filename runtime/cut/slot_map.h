@@ -4,7 +4,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "runtime/cut/local_matrix.h"
 #include "stream/tile_map.h"
 

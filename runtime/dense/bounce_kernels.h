@@ -12,12 +12,12 @@ namespace ff::runtime {
 
 inline constexpr uint32_t kPanelRows = 16;  // rows of matrices are padded to a multiple
 // The two factors of an update, `tall` (rows x rank) and `wide` (rank x columns), have room for two blocks.
-inline constexpr uint32_t kMostRank = 2 * kMaxBlock;
-inline constexpr uint32_t kFactorStride = kMostRank + kPanelRows;  // of `wide`, from column to column
+inline constexpr uint32_t kMaxRank = 2 * kMaxBlock;
+inline constexpr uint32_t kFactorStride = kMaxRank + kPanelRows;  // of `wide`, from column to column
 
 // Where `tall` holds a value: panels of 16 rows.
 inline size_t panelIndex(uint32_t row, uint32_t p) {
-  return (size_t{row / kPanelRows} * kMostRank + p) * kPanelRows + row % kPanelRows;
+  return (size_t{row / kPanelRows} * kMaxRank + p) * kPanelRows + row % kPanelRows;
 }
 
 // Stored fp16 is 8 times the value: 7.6e-6 and above are normal numbers, and 8191 (above the most that a clamped albedo

@@ -33,10 +33,10 @@ BouncePlanes<Element>::BouncePlanes(uint32_t places, uint32_t channels, WorkerPo
   for (Plane& p : planes_) {
     p.matrix = PageMemory<Element>(stride_ * rows_);
     p.albedo.assign(rows_, 0);
-    p.tall.assign(size_t{rows_} * kMostRank, 0);
+    p.tall.assign(size_t{rows_} * kMaxRank, 0);
     p.wide.assign(size_t{rows_} * kFactorStride, 0);
     p.rows.assign(size_t{rows_} * kFactorStride, 0);
-    p.left.assign(size_t{kB} * kMostRank, 0);
+    p.left.assign(size_t{kB} * kMaxRank, 0);
     p.right.assign(size_t{kB} * kFactorStride, 0);
   }
   for (auto& s : scratch_) s.assign(size_t{rows_} * kP, 0);
@@ -82,7 +82,7 @@ void BouncePlanes<Element>::use(uint32_t used) {
   const uint32_t after = usedRows();
   if (rank_ == 0 || after <= before) return;
   for (Plane& p : planes_) {  // what was pending does not concern them
-    std::fill_n(p.tall.data() + panelIndex(before, 0), size_t{after - before} * kMostRank, 0.0f);
+    std::fill_n(p.tall.data() + panelIndex(before, 0), size_t{after - before} * kMaxRank, 0.0f);
     std::fill_n(p.wide.data() + size_t{before} * kFactorStride, size_t{after - before} * kFactorStride, 0.0f);
   }
 }
@@ -90,7 +90,7 @@ void BouncePlanes<Element>::use(uint32_t used) {
 // An update starts from factors that no column has taken in yet, with room for its own.
 template <class Element>
 void BouncePlanes<Element>::makeRoom(uint32_t k) {
-  if (frontier_ > 0 || rank_ + k > kMostRank) fold(used_);
+  if (frontier_ > 0 || rank_ + k > kMaxRank) fold(used_);
 }
 
 template <class Element>
@@ -126,7 +126,7 @@ void BouncePlanes<Element>::gather(const EnteringBlock& block) {
         const float* wide = &p.wide[size_t{place} * kFactorStride];
         for (uint32_t i = 0; i < rank_; ++i) right[i] += factor * wide[i];
       }
-      std::array<float, kMostRank> left{};
+      std::array<float, kMaxRank> left{};
       for (uint32_t e = block.row_start[r]; e < block.row_start[r + 1]; ++e) {
         const uint32_t place = block.columns[e];
         if (order_[place] != kNotEntering) continue;

@@ -6,7 +6,7 @@
 // Lowering albedos of Q by -D (leaving is lowering to zero): G += G_LQ D (I - G_QQ D)^-1 G_QL.
 // Either way the matrix changes by one product of a tall and a wide matrix. These two factors are kept, G = stored +
 // tall wide, and updates go on from that sum: those that come next add their own columns and rows to the factors, until
-// a pass over the matrix folds in up to kMostRank of them at once. So a block that leaves and one that enters cost one
+// a pass over the matrix folds in up to kMaxRank of them at once. So a block that leaves and one that enters cost one
 // pass, and so do a hundred nodes one by one. (Delayed updates: McDaniel, D'Azevedo, Li, Wong and Kent. "Delayed Slater
 // determinant update algorithms for high efficiency quantum Monte Carlo." 2017.)
 //
@@ -64,8 +64,8 @@ class BouncePlanes {
     std::vector<float> tall;    // rank_ columns, by panelIndex()
     std::vector<float> wide;    // rank_ values a column, kFactorStride apart
     std::vector<float> rows;    // V, or rows of G, as `wide`
-    std::vector<float> left;    // kMaxBlock rows by at most kMostRank, as `tall`
-    std::vector<float> right;   // at most kMostRank by kMaxBlock columns, as `wide`
+    std::vector<float> left;    // kMaxBlock rows by at most kMaxRank, as `tall`
+    std::vector<float> right;   // at most kMaxRank by kMaxBlock columns, as `wide`
     SmallMatrix s, k, work;
     double carried[kMaxBlock];  // sums of the rows of what S has from the matrix
     bool solved = false;
@@ -97,7 +97,7 @@ class BouncePlanes {
   std::vector<uint32_t> blocks_;
   std::vector<uint16_t> order_;  // place to number in the entering block
   std::vector<float> partial_;   // per chunk of columns: three sums of all rows
-  std::array<float, kMostRank> pending_light_[3];
+  std::array<float, kMaxRank> pending_light_[3];
   uint32_t used_ = 0, wanted_ = 0;  // one past the highest place in use; with nothing pending they are the same
   uint32_t rank_ = 0;               // columns of `tall` that are not in the matrix yet
   uint32_t frontier_ = 0;           // columns before it have them

@@ -59,7 +59,7 @@ class CpuMultibounce final : public BounceMatrix {
     FF_CHECK_LE(k, kB);
     if (!hasValidFormFactors(block)) return refusal("a form factor is not a finite number >= 0");
     row_sum_before_ = row_sum_;
-    seat(block);
+    take(block);
     auto entered = clamp(block);
     if (entered && !planes_.enter(block))
       entered = refusal(std::string("light would be multiplied more than ") + (sizeof(Element) == 2 ? "fp16" : "fp32") +
@@ -164,7 +164,7 @@ class CpuMultibounce final : public BounceMatrix {
     if (!settings_.time_slice) planes_.fold(kMaxSlots);
   }
 
-  void seat(const EnteringBlock& block) {
+  void take(const EnteringBlock& block) {
     for (uint32_t r = 0; r < block.places.size(); ++r) {
       const uint32_t place = block.places[r];
       places_.take(place);
@@ -186,9 +186,9 @@ class CpuMultibounce final : public BounceMatrix {
   }
 
   // Lowers albedos that would keep all light. A row holds at most a whole hemisphere, so a sum that grew past 1 over
-  // the comings and goings of its columns counts as 1; only albedos above kMostKept are ever touched.
+  // the comings and goings of its columns counts as 1; only albedos above kMaxKept are ever touched.
   bool lower(Vec4& colour, float row_sum) const {
-    const float whole = std::min(row_sum, 1.0f), most = whole > 0 ? kMostKept / whole : 2.0f;
+    const float whole = std::min(row_sum, 1.0f), most = whole > 0 ? kMaxKept / whole : 2.0f;
     const Vec4 before = colour;
     colour = {std::min(colour.x, most), std::min(colour.y, most), std::min(colour.z, most), 0};
     return colour.x < before.x || colour.y < before.y || colour.z < before.z;

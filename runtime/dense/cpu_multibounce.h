@@ -9,7 +9,7 @@ namespace ff::runtime {
 
 // A product of albedo and row sum above this is taken to reach 1; the albedo is lowered to it: light is multiplied by
 // at most 2048, which fp32 and the scaled fp16 hold.
-inline constexpr float kMostKept = 1 - 1.0f / 2048;
+inline constexpr float kMaxKept = 1 - 1.0f / 2048;
 
 // luminance: one matrix G with the mean albedo. A channel's own G_c obeys G_c = G + G (C_c - C) G_c, so
 // E <- G (M + (C_c - C) E) is repeated: this many products, each reading the one matrix once for all channels. With

@@ -91,7 +91,7 @@ uint32_t CutPlaces::choose(uint64_t most) {
   return static_cast<uint32_t>(entering_.size());
 }
 
-EnteringBlock CutPlaces::seat(uint32_t first, uint32_t count) {
+EnteringBlock CutPlaces::take(uint32_t first, uint32_t count) {
   for (uint32_t e = first; e < first + count; ++e) {
     while (slot_of_place_[next_free_] != kNoSlot) ++next_free_;
     slot_of_place_[next_free_] = entering_[e];

@@ -26,11 +26,11 @@ class CutPlaces {
   void forgetGivenUp() { leaving_.clear(); }
 
   // The rest reads the matrix again, which must still be that of update().
-  // Leaves that may enter now, up to `most` and as many as there are places; numbered from 0 for seat().
+  // Leaves that may enter now, up to `most` and as many as there are places; numbered from 0 for take().
   uint32_t choose(uint64_t most);
   // Gives places to chosen leaves [first, first + count), in order, and describes them as a block, which lives until
   // the next call.
-  EnteringBlock seat(uint32_t first, uint32_t count);
+  EnteringBlock take(uint32_t first, uint32_t count);
   // Takes the places of the last block back: its nodes go on waiting, or the matrix has refused them and they are left
   // to the sparse rows until the cut changes.
   void unseat(uint32_t first, uint32_t count, bool refused);

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "runtime/dense/bounce_probe.h"
+#include "runtime/dense/bounce_monitor.h"
 #include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
@@ -131,7 +131,7 @@ class Dense final : public DenseSolver {
     const uint32_t entering = places_.choose(uint64_t{blocks} * kMaxBlock);
     for (uint32_t first = 0; first < entering; first += kMaxBlock) {
       const uint32_t count = std::min(kMaxBlock, entering - first);
-      const auto inserted = bounces_->insert(places_.seat(first, count));
+      const auto inserted = bounces_->insert(places_.take(first, count));
       if (inserted) {
         stats_.entered += count;
         continue;
@@ -248,7 +248,7 @@ class Dense final : public DenseSolver {
   std::string name_;
   CutPlaces places_;
   SparseRows rows_;
-  BounceProbe probe_;
+  BounceMonitor probe_;
   const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> source_, irradiance_, radiosity_, minus_, residual_;  // per slot
   std::vector<Vec4> by_place_, out_by_place_;

@@ -23,7 +23,7 @@ struct DenseSettings {
   uint32_t blocks_per_frame = 0;
   // Columns of a time-sliced matrix brought up to date in a frame.
   uint32_t columns_per_frame = 512;
-  // The residual probe (bounce_probe.h), a sixteenth of a round each frame. Cost of it: a sixteenth of a dense product and
+  // The residual probe (bounce_monitor.h), a sixteenth of a round each frame. Cost of it: a sixteenth of a dense product and
   // a quarter of a sparse one. Above the limit the matrix is built anew, kRebuildBlocks a frame. 0: defaultProbeLimit().
   double probe_limit = 0;
   int threads = 0;  // for the sparse rows; 0 = all cores

@@ -38,7 +38,7 @@ class VulkanBaseline : public BounceMatrix {
   Result<void> make(std::span<const WantedPipeline> pipelines, uint32_t push_bytes, std::span<const WantedBuffer> buffers,
                     std::span<const Buffer* const> bound);
 
-  // At most kMaxBlock patches with form factors that are some. Takes their seats.
+  // At most kMaxBlock patches with form factors that are some. Takes their places.
   virtual Result<void> enter(const EnteringBlock& block) = 0;
   // Light for up_: black, then place by place.
   virtual void clearLight() = 0;

@@ -116,7 +116,7 @@ Result<void> VulkanBounceSteps::makeBuffers() {
     Buffer* buffer;
     uint64_t bytes;
   };
-  std::vector<Wanted> list{{&block_, mostWords() * kFloat},
+  std::vector<Wanted> list{{&block_, maxWords() * kFloat},
                            {&albedo_, uint64_t{4} * stride_ * kFloat},
                            {&vectors_, vectorAt(3, 0)},
                            {&status_, 16}};
@@ -153,7 +153,7 @@ Result<void> VulkanBounceSteps::makeBuffers() {
   return {};
 }
 
-uint64_t VulkanBounceSteps::mostWords() const {
+uint64_t VulkanBounceSteps::maxWords() const {
   return shaders::kBlockIndex + stride_ + uint64_t{4} * kMaxBlock * stride_;
 }
 
@@ -202,8 +202,8 @@ Result<VulkanBounceSteps::Block> VulkanBounceSteps::describe(const EnteringBlock
   for (uint32_t i = 0; i < b.k; ++i) {
     FF_CHECK_LT(block.places[i], settings_.places);
     const Vec4& a = block.albedo[i];
-    colour_[block.places[i]] = {std::min(a.x, kMostKept), std::min(a.y, kMostKept), std::min(a.z, kMostKept), 0};
-    b.clamped += std::max({a.x, a.y, a.z}) > kMostKept;
+    colour_[block.places[i]] = {std::min(a.x, kMaxKept), std::min(a.y, kMaxKept), std::min(a.z, kMaxKept), 0};
+    b.clamped += std::max({a.x, a.y, a.z}) > kMaxKept;
     b.used = std::max(b.used, roundUp(block.places[i] + 1, shaders::kBounceTile));
   }
   describeHead(block.places, words);

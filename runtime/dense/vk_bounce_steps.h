@@ -41,7 +41,7 @@ class VulkanBounceSteps {
   const std::string& name() const { return name_; }  // "multibounce vulkan fp32: DEVICE"
   uint32_t stride() const { return stride_; }
   uint64_t bytes() const { return planeBytes() * planes_; }
-  uint64_t mostWords() const;  // of a description
+  uint64_t maxWords() const;  // of a description
   // Words that describing a block that enters takes; one that leaves takes those of an empty one.
   uint64_t wordsOf(const EnteringBlock& block) const;
 

@@ -9,7 +9,7 @@
 
 #include "bounce_correct_comp.h"
 #include "bounce_residual_comp.h"
-#include "runtime/dense/bounce_probe.h"
+#include "runtime/dense/bounce_monitor.h"
 #include "runtime/dense/vk_bounce_steps.h"
 #include "runtime/vulkan/device.h"
 
@@ -41,7 +41,7 @@ class DenseStep final : public GatherCorrection {
   Result<void> fillMatrix(float value) override;
 
  private:
-  // What a frame in flight will bring back, in this order: the status of each block that enters, `spoilt`, y of the
+  // What a frame in flight will bring back, in this order: the status of each block that enters, `corrupt`, y of the
   // probe, sums.
   struct Region {
     bool recorded = false, measured = false, comparable = false, rebuilding = false, probed = false;
@@ -51,7 +51,7 @@ class DenseStep final : public GatherCorrection {
   // A staging region: the slots by place; x of the probe and the places that it is not 0 at; what blocks need.
   uint64_t channelBytes() const { return uint64_t{steps_->stride()} * sizeof(float); }
   uint64_t blocksAt() const { return 5 * channelBytes(); }
-  uint64_t upBytes() const { return blocksAt() + steps_->mostWords() * sizeof(uint32_t); }
+  uint64_t upBytes() const { return blocksAt() + steps_->maxWords() * sizeof(uint32_t); }
   uint64_t probeAt() const { return (blocks_ + 1) * sizeof(uint32_t); }
   uint64_t sumsAt() const { return probeAt() + 3 * channelBytes(); }
   uint64_t backBytes() const {
@@ -71,7 +71,7 @@ class DenseStep final : public GatherCorrection {
   uint32_t* room(uint32_t frame) {
     return reinterpret_cast<uint32_t*>(up_.mapped() + frame * upBytes() + blocksAt()) + words_used_;
   }
-  uint64_t wordsLeft() const { return steps_->mostWords() - words_used_; }
+  uint64_t wordsLeft() const { return steps_->maxWords() - words_used_; }
 
   std::shared_ptr<VkContext> context_;  // first: outlives everything below
   std::unique_ptr<VulkanBounceSteps> steps_;
@@ -85,7 +85,7 @@ class DenseStep final : public GatherCorrection {
   const LocalMatrix* matrix_ = nullptr;
   CutPlaces places_;
   SparseRows rows_{1};  // for the probe, on the caller's thread
-  BounceProbe probe_;
+  BounceMonitor probe_;
   std::vector<Vec4> probe_y_;  // by place
   bool probing_ = false;       // one is on its way
   bool probe_holds_ = false;   // and its places and rows are still those that it was drawn for
@@ -208,8 +208,8 @@ void DenseStep::read(uint32_t frame, bool may_judge) {
     restart_ = true;
     return startOver("radiosity was not finite");
   }
-  if (const uint32_t spoilt = word(blocks_); spoilt != 0)
-    return startOver(spoilt == shaders::kSpoiltPrecision ? whyRefused(true) : "the matrix is not finite");
+  if (const uint32_t corrupt = word(blocks_); corrupt != 0)
+    return startOver(corrupt == shaders::kSpoiltPrecision ? whyRefused(true) : "the matrix is not finite");
   for (uint32_t b = 0; b < region.blocks; ++b) {
     if (word(b) == 0) continue;
     for (uint32_t place = 0; place < entered_by_.size(); ++place)
@@ -344,7 +344,7 @@ void DenseStep::recordEntering(VkCommandBuffer c, uint32_t frame) {
   const uint32_t chosen = places_.choose(uint64_t{blocks_} * kMaxBlock);
   for (uint32_t first = 0; first < chosen; first += kMaxBlock) {
     const uint32_t count = std::min(kMaxBlock, chosen - first);
-    const EnteringBlock block = places_.seat(first, count);
+    const EnteringBlock block = places_.take(first, count);
     if (steps_->wordsOf(block) > wordsLeft()) {
       places_.unseat(first, count, false);
       return;
@@ -384,8 +384,8 @@ void DenseStep::recordEnd(VkCommandBuffer c, uint32_t frame, int iterations) {
   region.measured = iterations > 0;
   region.slots = region.measured ? matrix_->slots() : 0;
   if (region.measured && !probing_ && !rebuilding_ && places_.taken() >= kFewestProbed) recordProbe(c, frame);
-  const VkBufferCopy spoilt{sizeof(uint32_t), frame * backBytes() + blocks_ * sizeof(uint32_t), sizeof(uint32_t)};
-  vkCmdCopyBuffer(c, steps_->status().handle(), back_.handle(), 1, &spoilt);
+  const VkBufferCopy corrupt{sizeof(uint32_t), frame * backBytes() + blocks_ * sizeof(uint32_t), sizeof(uint32_t)};
+  vkCmdCopyBuffer(c, steps_->status().handle(), back_.handle(), 1, &corrupt);
   if (region.measured) {
     const VkBufferCopy sums{0, frame * backBytes() + sumsAt(),
                             groupsOf(region.slots, shaders::kBounceGroup) * sizeof(shaders::StepSums)};

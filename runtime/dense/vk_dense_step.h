@@ -6,9 +6,9 @@
 // G are zero then, and later blocks that name its places make G that of a matrix F with some entries left out: still a
 // regular splitting, so what is shown stays right and converges. frames_in_flight records later the host reads of it
 // and takes those places back. Where nodes could not leave, or the product is not finite, the device itself stops using
-// the matrix (shaders/bounce.glsl: spoilt) until the host has it built anew.
+// the matrix (shaders/bounce.glsl: corrupt) until the host has it built anew.
 //
-// The residual probe (bounce_probe.h) runs all the while: y = G x on the device, at the end of a record; what the sparse
+// The residual probe (bounce_monitor.h) runs all the while: y = G x on the device, at the end of a record; what the sparse
 // rows say of it on the host, frames_in_flight records later, if no node has left until then. One is on its way at a time.
 #pragma once
 #include "runtime/gather/gather_correction.h"

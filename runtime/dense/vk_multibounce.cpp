@@ -54,7 +54,7 @@ class VulkanMultibounce final : public BounceMatrix {
 
 Result<void> VulkanMultibounce::allocate() {
   const uint64_t stride = steps_->stride();
-  const std::pair<Buffer*, uint64_t> list[] = {{&up_, std::max(steps_->mostWords(), 4 * stride) * sizeof(float)},
+  const std::pair<Buffer*, uint64_t> list[] = {{&up_, std::max(steps_->maxWords(), 4 * stride) * sizeof(float)},
                                                {&down_, 3 * stride * sizeof(float)}};
   for (const auto& [buffer, bytes] : list) {
     auto b = Buffer::create(*context_, bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, MemoryUse::kHost);

@@ -27,7 +27,7 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kMostTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
+constexpr uint32_t kMaxTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
 constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
 constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
 constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
@@ -153,7 +153,7 @@ Result<void> VulkanGather::start() {
   settings_.entry_bytes = roundUp(settings_.entry_bytes, align);  // else a second segment for what is left
   segment_bytes_ = std::min(most, settings_.entry_bytes) / align * align;
   if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
-      settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMostTiles)
+      settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMaxTiles)
     return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
                  "give at least " + std::to_string(align) + " bytes, 1 to 65536 slots, 1 to 16383 tiles and 1 frame"};
   segments_ = static_cast<uint32_t>(groupsOf(settings_.entry_bytes, segment_bytes_));

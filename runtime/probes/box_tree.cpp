@@ -34,7 +34,7 @@ BoxTree::BoxTree(std::span<const Box> boxes, uint32_t leaf) : order_(boxes.size(
     const auto begin = order_.begin() + part.first, end = order_.begin() + part.last;
     const float middle = (centres.lo[a] + centres.hi[a]) / 2;
     auto split = std::partition(begin, end, [&](uint32_t i) { return centre(i, a) < middle; });
-    if (split == begin || split == end || part.depth >= kMostDepth / 2) {
+    if (split == begin || split == end || part.depth >= kMaxDepth / 2) {
       split = begin + (end - begin) / 2;
       std::nth_element(begin, split, end, [&](uint32_t i, uint32_t j) { return centre(i, a) < centre(j, a); });
     }

@@ -46,7 +46,7 @@ class BoxTree {
   template <class Visit>
   void walk(const RayLine& ray, float slack, const float& limit, Visit&& visit) const {
     if (nodes_.empty()) return;
-    std::array<uint32_t, kMostDepth> stack;
+    std::array<uint32_t, kMaxDepth> stack;
     uint32_t depth = 0;
     if (const Slab root(ray, nodes_[0].lo, nodes_[0].hi, slack); root.hit() && root.enter < limit) stack[depth++] = 0;
     while (depth > 0) {
@@ -65,8 +65,8 @@ class BoxTree {
   }
 
  private:
-  // Halves hold at least a thing each, and past kMostDepth / 2 levels they are equal in number: never deeper.
-  static constexpr uint32_t kMostDepth = 96;
+  // Halves hold at least a thing each, and past kMaxDepth / 2 levels they are equal in number: never deeper.
+  static constexpr uint32_t kMaxDepth = 96;
   struct TreeNode {
     Vec3 lo;
     uint32_t first = 0;  // child, its sibling next to it; or position of the first thing

@@ -9,7 +9,7 @@
 #include <thread>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "runtime/probes/box_tree.h"
 #include "stream/tile_map.h"
 

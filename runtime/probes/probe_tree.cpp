@@ -8,8 +8,8 @@ namespace {
 
 // Of a cell's edge. Faces lie in the planes between cells; centroids are stored to 1/65535 of their tile's extent.
 constexpr float kSlack = 4e-3f;
-constexpr size_t kMostLevels = 28;    // 2^21 cells an axis and some
-constexpr uint32_t kMostPlanes = 32;  // of one cell that a ray looks at
+constexpr size_t kTreeLevels = 28;    // 2^21 cells an axis and some
+constexpr uint32_t kMaxPlanes = 32;  // of one cell that a ray looks at
 
 int32_t cellNumber(float x) { return static_cast<int32_t>(std::min(std::max(x, -1e9f), 1e9f)); }
 
@@ -36,7 +36,7 @@ ProbeTree::ProbeTree(const formats::World& world, uint32_t max_slots) : leaves_(
   // Cells to which faces in the bounds' own planes belong lie just outside them.
   const Vec3 slack = Vec3{1, 1, 1} * (2 * kSlack * edge_.back());
   const Vec3 lo = bounds.lo - slack, hi = bounds.hi + slack;
-  while (std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z}) > edge_.back() && edge_.size() < kMostLevels)
+  while (std::max({hi.x - lo.x, hi.y - lo.y, hi.z - lo.z}) > edge_.back() && edge_.size() < kTreeLevels)
     edge_.push_back(2 * edge_.back());
   for (int a = 0; a < 3; ++a) root_at_[static_cast<size_t>(a)] = cellNumber(std::floor(lo[a] / edge_.back()));
   // Every cell up to the top level holds a slot's node, as the parents of active nodes are active; above the top level
@@ -177,7 +177,7 @@ void ProbeTree::testLeaves(const Query& query, const Visit& visit, Hit& best) co
     uint32_t slot;
     bool front;
   };
-  std::array<Crossing, kMostPlanes> planes;
+  std::array<Crossing, kMaxPlanes> planes;
   uint32_t count = 0;
   for (uint32_t slot = cells_[visit.cell].first_leaf; slot != kNone; slot = leaves_[slot].next) {
     const Leaf& leaf = leaves_[slot];
@@ -187,7 +187,7 @@ void ProbeTree::testLeaves(const Query& query, const Visit& visit, Hit& best) co
     const float t = dot(leaf.normal, leaf.centroid - query.ray.origin) / slope;
     const bool front = slope < 0;
     if (t <= (front ? 0 : least_back_m_) || t < visit.enter || t > visit.leave || t >= best.distance_m) continue;
-    if (count == kMostPlanes) continue;
+    if (count == kMaxPlanes) continue;
     uint32_t place = count++;
     for (; place > 0 && planes[place - 1].distance > t; --place) planes[place] = planes[place - 1];
     planes[place] = {t, slot, front};
@@ -212,7 +212,7 @@ ProbeTree::Hit ProbeTree::nearest(const RayLine& ray, uint32_t number, float lim
   // Children nearest first: those on the side the ray comes from.
   const uint32_t far_side =
       (ray.direction.x < 0 ? 1u : 0u) | (ray.direction.y < 0 ? 2u : 0u) | (ray.direction.z < 0 ? 4u : 0u);
-  std::array<Visit, 7 * kMostLevels + 8> stack;  // a level leaves 7 behind
+  std::array<Visit, 7 * kTreeLevels + 8> stack;  // a level leaves 7 behind
   size_t depth = 0;
   Hit best{kNoSlot, true, limit_m};
   const int last = static_cast<int>(edge_.size()) - 1;

@@ -9,7 +9,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "runtime/cut/local_matrix.h"
 #include "runtime/probes/box_tree.h"
 

@@ -52,7 +52,7 @@ Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSet
       hidden_(kMaxSlots),
       seen_(kMaxSlots),
       changed_(kMaxSlots),
-      kept_((std::max(settings.most_kept, 1u) + kWays - 1) / kWays * kWays),
+      kept_((std::max(settings.max_kept, 1u) + kWays - 1) / kWays * kWays),
       places_(kept_.size() * rays_.size()),
       met_(rays_.size()),
       facets_(world, settings.facet_bytes) {}
@@ -144,7 +144,7 @@ void Probes::sample(std::span<const Vec3> points, std::span<const Vec3> normals,
     Kept& kept = kept_[at];
     const bool known = kept.state != 0 && kept.point == points[i] && kept.normal == normal;
     const bool usable = known && (kept.state == state_ || standsStill(at));
-    const bool refresh = usable && kept.state != state_ && refreshed < settings_.most_refreshed;
+    const bool refresh = usable && kept.state != state_ && refreshed < settings_.max_refreshed;
     refreshed += refresh;
     if (!usable || refresh) trace(at, points[i], normal);
     ++(usable && !refresh ? stats_.kept : stats_.traced);

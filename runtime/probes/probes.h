@@ -8,7 +8,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "runtime/cut/slot_map.h"
 #include "runtime/probes/facet_scene.h"
 #include "runtime/probes/probe_tree.h"
@@ -18,8 +18,8 @@ namespace ff::runtime {
 
 struct ProbeSettings {
   uint32_t rays = 256;           // per probe
-  uint32_t most_kept = 1024;     // probes whose rays are remembered
-  uint32_t most_refreshed = 16;  // per sample(): kept probes that are traced again because the cut has changed since
+  uint32_t max_kept = 1024;     // probes whose rays are remembered
+  uint32_t max_refreshed = 16;  // per sample(): kept probes that are traced again because the cut has changed since
   uint64_t facet_bytes = uint64_t{128} << 20;  // of drawing triangles in memory; 0: planes everywhere
 };
 
@@ -49,7 +49,7 @@ class Probes {
   // Irradiance, W/m2, of a surface at each point that faces along its normal (of any length), from everything but what
   // the caller has as direct light: radiosity of surfaces and the sky. radiosity: W/m2, by slot. The answer is a
   // function of the point, the cut and the light; only a probe that was kept over a change of the cut, because
-  // most_refreshed others were before it, lags. Zero where point or normal is not finite, or the normal zero.
+  // max_refreshed others were before it, lags. Zero where point or normal is not finite, or the normal zero.
   void sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<const Vec4> radiosity,
               const Sky& sky, std::span<Vec3> irradiance);
   // Blocks until the triangles around the last observer are here (tests, loading screens).

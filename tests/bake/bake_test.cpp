@@ -1,4 +1,4 @@
-// Whole bakes of small scenes, read back through formats/reader.h.
+// Whole bakes of small scenes, read back through formats/read/reader.h.
 #include "bake/bake.h"
 
 #include <gtest/gtest.h>
@@ -11,7 +11,7 @@
 #include <stdexcept>
 #include <system_error>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/bake/variants.h"
 #include "tools/inspect/world_check.h"
 

@@ -14,7 +14,7 @@
 #include "bake/estimate.h"
 #include "bake/surface/fineness.h"
 #include "bake/surface/patch_size.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/bake/variants.h"
 
 namespace ff::bake::test {

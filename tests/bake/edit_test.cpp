@@ -10,7 +10,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/random_world.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"

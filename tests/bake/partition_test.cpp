@@ -95,7 +95,7 @@ Scene moved(const Scene& in, const std::function<Vec3(Vec3)>& move, bool mirrore
   return s;
 }
 
-constexpr double kMostMean = 5e-4, kMostOfAPatch = 1e-2;  // of open ground
+constexpr double kMaxMean = 5e-4, kMaxOfAPatch = 1e-2;  // of open ground
 
 TEST(Partitions, AWindowlessRoomOnOpenGroundIsDark) {
   for (const float thickness : {0.0f, 0.1f, 0.3f})
@@ -108,8 +108,8 @@ TEST(Partitions, AWindowlessRoomOnOpenGroundIsDark) {
       const uint32_t corner = set->patchAt(1, true, {2.02f, 0, 2.02f}), beside = set->patchAt(0, true, {2.02f, 0, 2.02f});
       EXPECT_TRUE(isInRoom(set->patches[std::min(corner, beside)])) << thickness << " m walls, patches of " << cell;
       const Light l = light(scene, *set, *caster, isInRoom);
-      EXPECT_LT(l.mean_inside, kMostMean) << thickness << " m walls, patches of " << cell;
-      EXPECT_LT(l.worst_inside, kMostOfAPatch) << thickness << " m walls, patches of " << cell;
+      EXPECT_LT(l.mean_inside, kMaxMean) << thickness << " m walls, patches of " << cell;
+      EXPECT_LT(l.worst_inside, kMaxOfAPatch) << thickness << " m walls, patches of " << cell;
     }
 }
 
@@ -144,8 +144,8 @@ TEST(Partitions, SoItIsTurnedScaledMirroredFarFromTheOriginAndInAnotherOrder) {
         p.normal = tip - p.centroid;
         return isInRoom(p);
       });
-      EXPECT_LT(l.mean_inside, kMostMean) << v.name << ", " << thickness << " m walls";
-      EXPECT_LT(l.worst_inside, kMostOfAPatch) << v.name << ", " << thickness << " m walls";
+      EXPECT_LT(l.mean_inside, kMaxMean) << v.name << ", " << thickness << " m walls";
+      EXPECT_LT(l.worst_inside, kMaxOfAPatch) << v.name << ", " << thickness << " m walls";
     }
 }
 

@@ -18,7 +18,7 @@
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"

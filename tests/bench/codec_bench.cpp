@@ -13,9 +13,9 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "formats/records.h"
-#include "formats/whole_world.h"
-#include "formats/writer.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
+#include "formats/write/writer.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
 

@@ -7,7 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/bench/cut_places.h"
 #include "tests/bench/truth.h"
 

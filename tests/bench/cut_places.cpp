@@ -4,7 +4,7 @@
 #include <array>
 #include <ctime>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/neighbourhood.h"
 
 namespace ff::bench {
@@ -163,7 +163,7 @@ void printCutChanges(const formats::WholeWorld& world, const Truth& truth, const
     const auto solver = makeCpuGather(1);
     std::vector<double> ms, entered;
     int renumbered = 0;
-    uint32_t most_slots = 0;
+    uint32_t max_slots = 0;
     for (size_t i = 0; i < walk.eyes.size(); ++i) {
       streamer->update(walk.eyes[i], {});
       orExit(streamer->settle());
@@ -175,7 +175,7 @@ void printCutChanges(const formats::WholeWorld& world, const Truth& truth, const
       ms.push_back(took);
       entered.push_back(static_cast<double>(assembler.change().entered.size() + assembler.change().left.size()));
       renumbered += assembler.change().renumbered;
-      most_slots = std::max(most_slots, assembler.matrix().slots());
+      max_slots = std::max(max_slots, assembler.matrix().slots());
     }
     if (ms.empty()) continue;
     const double worst = *std::max_element(ms.begin(), ms.end()), most = *std::max_element(entered.begin(), entered.end());
@@ -184,7 +184,7 @@ void printCutChanges(const formats::WholeWorld& world, const Truth& truth, const
               " changes in " + std::to_string(walk.eyes.size()) + " frames, median " + std::to_string(median(ms)) +
               " ms of the frame's thread (matrix and gather's tables); at most " + std::to_string(static_cast<int>(most)) +
               " tiles enter and leave at once; slots numbered anew " + std::to_string(renumbered) + " times, highest slot " +
-              std::to_string(most_slots) + ", pages " + std::to_string(assembler.matrix().pages->pages().size()),
+              std::to_string(max_slots) + ", pages " + std::to_string(assembler.matrix().pages->pages().size()),
           "cpu");
   }
 }

@@ -13,7 +13,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "runtime/api/formfield.h"
 #include "tests/support/simulated_world.h"
 

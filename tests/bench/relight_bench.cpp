@@ -8,7 +8,7 @@
 #include <Eigen/Sparse>
 #include <algorithm>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/vk_multibounce.h"

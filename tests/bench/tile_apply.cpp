@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/bench/truth.h"
 
 namespace ff::bench {

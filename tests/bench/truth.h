@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/world_truth.h"
 
 namespace ff::bench {

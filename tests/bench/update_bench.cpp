@@ -3,7 +3,7 @@
 // the set that is in at the moment. Synthetic form factors (tools/chart/walks.h). Prints JSON lines.
 #include <CLI/CLI.hpp>
 
-#include "runtime/dense/bounce_probe.h"
+#include "runtime/dense/bounce_monitor.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"
@@ -232,10 +232,10 @@ void speed(bool quick) {
 constexpr const char* kSpeed = "speed";
 
 // only: walks whose description (name, M) contains it; empty: all of them, and the cost of an update; kSpeed: that alone.
-void run(bool quick, uint32_t most_swaps, const std::string& only) {
+void run(bool quick, uint32_t max_swaps, const std::string& only) {
   if (only.empty() || only == kSpeed) speed(quick);
   if (only == kSpeed) return;
-  const uint32_t swaps = std::min(quick ? 10000u : 100000u, most_swaps);
+  const uint32_t swaps = std::min(quick ? 10000u : 100000u, max_swaps);
   const auto box = [](float albedo, uint32_t n) {
     return SceneSettings{.kind = SceneKind::kClosedBox, .patches = n, .entries_per_row = 60, .albedo = albedo};
   };
@@ -309,9 +309,9 @@ int main(int argc, char** argv) {
   bool quick = false;
   std::string world;
   CLI::App app{"Cost and drift of nodes that enter and leave the dense matrices. One JSON object a line."};
-  uint32_t most_swaps = 100000;
+  uint32_t max_swaps = 100000;
   app.add_flag("--quick", quick, "fewer swaps, no walks of M = 4096");
-  app.add_option("--swaps", most_swaps, "in a walk, at most")->check(CLI::Range(1024, 100000))->capture_default_str();
+  app.add_option("--swaps", max_swaps, "in a walk, at most")->check(CLI::Range(1024, 100000))->capture_default_str();
   app.add_option("--world", world, "a baked town, for the cost of a tile; without it one is baked");
   std::string only;
   app.add_option("--only", only,
@@ -322,6 +322,6 @@ int main(int argc, char** argv) {
     ff::bench::printTileApply(world, quick);
     ff::bench::printVulkanUpdates(world, quick);
   }
-  run(quick, most_swaps, only);
+  run(quick, max_swaps, only);
   return 0;
 }

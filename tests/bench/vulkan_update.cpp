@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/vk_multibounce.h"
 #include "runtime/dense/vk_seed.h"

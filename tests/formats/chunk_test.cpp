@@ -1,16 +1,16 @@
 // The index: chunks' records read back, found by number and by name, shared while someone holds them; records whose checksum would be
 // right but whose content is not.
-#include "formats/chunk.h"
+#include "formats/codec/chunk.h"
 
 #include <gtest/gtest.h>
 
 #include <functional>
 #include <random>
 
-#include "formats/bytes.h"
-#include "formats/checksum.h"
-#include "formats/records.h"
-#include "formats/whole_world.h"
+#include "formats/codec/bytes.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/random_world.h"
 
 namespace ff::formats {

@@ -7,11 +7,11 @@
 #include <fstream>
 #include <new>
 
-#include "formats/bytes.h"
-#include "formats/checksum.h"
-#include "formats/records.h"
-#include "formats/whole_world.h"
-#include "formats/writer.h"
+#include "formats/codec/bytes.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
+#include "formats/write/writer.h"
 #include "tests/support/random_world.h"
 
 namespace ff::formats {

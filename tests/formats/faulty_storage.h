@@ -3,7 +3,7 @@
 #include <atomic>
 #include <functional>
 
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

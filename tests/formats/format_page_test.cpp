@@ -7,8 +7,8 @@
 #include <regex>
 #include <sstream>
 
-#include "formats/records.h"
-#include "formats/strip_codec.h"
+#include "formats/codec/records.h"
+#include "formats/codec/strip_codec.h"
 
 namespace ff::formats {
 namespace {

@@ -8,8 +8,8 @@
 #include <map>
 #include <sstream>
 
-#include "formats/records.h"
-#include "formats/whole_world.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/furnace_world.h"
 
 namespace ff::formats {

@@ -5,9 +5,9 @@
 #include <limits>
 #include <tuple>
 
-#include "formats/checksum.h"
-#include "formats/manifest.h"
-#include "formats/whole_world.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/manifest.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/furnace_world.h"
 
 namespace ff::formats {

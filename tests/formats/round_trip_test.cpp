@@ -7,10 +7,10 @@
 #include <cmath>
 #include <filesystem>
 
-#include "formats/geometry.h"
-#include "formats/strip_codec.h"
-#include "formats/whole_world.h"
-#include "formats/writer.h"
+#include "formats/codec/geometry.h"
+#include "formats/codec/strip_codec.h"
+#include "formats/read/whole_world.h"
+#include "formats/write/writer.h"
 #include "tests/support/random_world.h"
 
 namespace ff::formats {

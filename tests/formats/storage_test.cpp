@@ -6,9 +6,9 @@
 #include <optional>
 #include <thread>
 
-#include "formats/memory_storage.h"
-#include "formats/whole_world.h"
-#include "formats/writer.h"
+#include "formats/read/whole_world.h"
+#include "formats/storage/memory_storage.h"
+#include "formats/write/writer.h"
 #include "tests/formats/faulty_storage.h"
 #include "tests/support/random_world.h"
 

@@ -4,9 +4,9 @@
 #include <filesystem>
 #include <set>
 
-#include "formats/records.h"
-#include "formats/whole_world.h"
-#include "formats/writer.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
+#include "formats/write/writer.h"
 #include "tests/support/furnace_world.h"
 
 namespace ff::formats {

@@ -99,7 +99,7 @@ TEST(ChooseSolver, TakesTheDenseMatrixOnlyWhereItReadsLessThanTheIterations) {
   // Everyone sees nearly everyone: 7 iterations over 0.3 MB.
   EXPECT_EQ(chooseSolver(room(300, 250, 1000, 0.5f)).kind, SolverKind::kMultibounce);
   // Closed and white, but too many.
-  EXPECT_EQ(chooseSolver(room(kMostDenseLeaves + 1, 4, 1000, 0.9999f)).kind, SolverKind::kGather);
+  EXPECT_EQ(chooseSolver(room(kMaxDenseLeaves + 1, 4, 1000, 0.9999f)).kind, SolverKind::kGather);
   EXPECT_EQ(chooseSolver(room(300, 100, 1000, 0)).kind, SolverKind::kGather);
   EXPECT_EQ(chooseSolver(LocalMatrix{}).kind, SolverKind::kGather);
   EXPECT_NE(chooseSolver(room(300, 100, 1000, 0.99f)).why.find("300 leaves"), std::string::npos);

@@ -1,7 +1,7 @@
 // Uses every door of the room and links ff_runtime alone: link_closure.cmake looks at what comes along.
 #include <cstdio>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"

@@ -7,7 +7,7 @@
 #include <set>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/local_matrix.h"
 #include "stream/strip_loader.h"
 #include "tests/support/synthetic_world.h"

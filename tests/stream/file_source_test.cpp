@@ -11,8 +11,8 @@
 #include <mutex>
 #include <thread>
 
-#include "formats/memory_storage.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
+#include "formats/storage/memory_storage.h"
 #include "tests/support/synthetic_world.h"
 
 namespace ff::stream {

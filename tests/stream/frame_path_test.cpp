@@ -5,7 +5,7 @@
 #include <map>
 #include <set>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "stream/file_source.h"
 #include "stream/streamer.h"
 #include "tests/stream/test_sources.h"

@@ -7,7 +7,7 @@
 #include <limits>
 #include <set>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "stream/file_source.h"
 #include "stream/wanted_tiles.h"
 #include "tests/stream/test_sources.h"
@@ -296,9 +296,9 @@ TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
   EXPECT_FALSE(streamer->update({5, 1, 5}, {}));  // would hang here if it waited
   while (streamer->stats().pending_tiles <= 4) streamer->update({5, 1, 5}, {});  // the index comes first, a level at a time
   // Another thread starts the reads, and looks at the queue.
-  while (held->mostWaiting() < 4) std::this_thread::yield();
+  while (held->maxWaiting() < 4) std::this_thread::yield();
   while (streamer->stats().cancelled == 0) streamer->update({60, 1, 60}, {});
-  EXPECT_EQ(held->mostWaiting(), 4u);
+  EXPECT_EQ(held->maxWaiting(), 4u);
   held->hold(false);
   EXPECT_EQ(settledAt(*streamer, {60, 1, 60}), wantedByDefinition({60, 1, 60}, 6, 1.6f));
 }

@@ -10,7 +10,7 @@
 #include <random>
 #include <thread>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {
@@ -40,7 +40,7 @@ class MemorySource final : public TileSource {
     const Fate fate = fate_ ? fate_(id, attempts_[id]) : Fate::kGood;
     ++attempts_[id];
     queue_.push_back({id, std::move(done), fate});
-    most_waiting_ = std::max(most_waiting_, queue_.size());
+    max_waiting_ = std::max(max_waiting_, queue_.size());
     wake_.notify_one();
   }
 
@@ -55,9 +55,9 @@ class MemorySource final : public TileSource {
     const std::lock_guard lock(mutex_);
     return attempts_[id];
   }
-  size_t mostWaiting() {
+  size_t maxWaiting() {
     const std::lock_guard lock(mutex_);
-    return most_waiting_;
+    return max_waiting_;
   }
 
  private:
@@ -106,7 +106,7 @@ class MemorySource final : public TileSource {
   std::map<formats::TileId, int> attempts_;
   std::mt19937_64 random_;
   FateOf fate_;
-  size_t most_waiting_ = 0;
+  size_t max_waiting_ = 0;
   bool stop_ = false, held_ = false;
   std::thread thread_;
 };

@@ -9,8 +9,8 @@
 #include <numeric>
 #include <random>
 
-#include "formats/reader.h"
-#include "formats/writer.h"
+#include "formats/read/reader.h"
+#include "formats/write/writer.h"
 
 namespace ff::formats {
 namespace {

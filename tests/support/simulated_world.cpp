@@ -6,10 +6,10 @@
 #include <map>
 #include <random>
 
-#include "formats/checksum.h"
-#include "formats/chunk.h"
-#include "formats/shard_writer.h"
-#include "formats/writer.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/chunk.h"
+#include "formats/write/shard_writer.h"
+#include "formats/write/writer.h"
 
 namespace ff::formats {
 namespace {

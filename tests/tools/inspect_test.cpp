@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/furnace_world.h"
 #include "tools/inspect/world_check.h"
 
@@ -173,7 +173,7 @@ TEST_F(Inspect, FindsACountOfSkyThatContradictsTheFractionOfSky) {
   write(w);
   Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4);
-  EXPECT_NE(run.text.find("node 7: 0 of 299 quanta are sky"), std::string::npos) << run.text;
+  EXPECT_NE(run.text.find("node 7: 0 of 299 samples are sky"), std::string::npos) << run.text;
   w.info.rays = 4096;  // of a hundredth, so many rays are off by 6 * 0.47 quanta and less
   write(w);
   EXPECT_EQ(inspect("verify " + world()).code, 0);

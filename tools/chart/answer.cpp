@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 #include "runtime/choose_solver.h"
 #include "tools/chart/page/figure_text.h"
 #include "tools/chart/page/front.h"

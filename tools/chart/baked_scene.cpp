@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <utility>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::chart {
 

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "bake/bake.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::chart {
 

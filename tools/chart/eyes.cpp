@@ -1,6 +1,6 @@
 #include "tools/chart/eyes.h"
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/view/camera.h"
 
 namespace ff::chart {

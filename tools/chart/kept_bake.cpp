@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <fstream>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 
 namespace ff::chart {

@@ -4,7 +4,7 @@
 #include <numeric>
 #include <utility>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::chart {
 

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/matrix_assembler.h"
 #include "tools/chart/walks.h"
 #include "tools/chart/world_truth.h"

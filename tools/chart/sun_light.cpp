@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "bake/rays/ray_caster.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::chart {
 namespace {

@@ -2,7 +2,7 @@
 #pragma once
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 
 namespace ff::chart {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/full_solve.h"
 #include "tools/chart/outside.h"
 #include "tools/chart/sun_light.h"

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/updater.h"
 

@@ -6,8 +6,8 @@
 #include <functional>
 #include <memory>
 
-#include "formats/bytes.h"
-#include "formats/whole_world.h"
+#include "formats/codec/bytes.h"
+#include "formats/read/whole_world.h"
 #include "tools/inspect/inspect.h"
 
 namespace ff::tools {
@@ -85,7 +85,7 @@ Result<void> rowsMtx(const WholeWorld& world, uint32_t level, OutputFile& file) 
 }
 
 Result<void> rowsNpy(const WholeWorld& world, uint32_t level, OutputFile& file) {
-  file.write(npyHeader("('row', '<u4'), ('column', '<u4'), ('count', '<u2'), ('quanta', '<u2')", world.levels()[level].entries));
+  file.write(npyHeader("('row', '<u4'), ('column', '<u4'), ('count', '<u2'), ('samples', '<u2')", world.levels()[level].entries));
   return eachEntry(world, level, [&](uint32_t row, uint32_t column, uint16_t count, uint32_t quanta) {
     ByteWriter w;
     w.u32(row), w.u32(column), w.u16(count), w.u16(static_cast<uint16_t>(quanta));
@@ -95,7 +95,7 @@ Result<void> rowsNpy(const WholeWorld& world, uint32_t level, OutputFile& file) 
 
 Result<void> patchesNpy(const WholeWorld& world, uint32_t level, OutputFile& file) {
   file.write(npyHeader("('area_m2', '<f4'), ('centroid', '<f4', (3,)), ('normal', '<f4', (3,)), ('albedo', '<f4', (3,)), "
-                       "('emission', '<f4', (3,)), ('sky_direction', '<f4', (3,)), ('parent', '<u4'), ('quanta', '<u4'), "
+                       "('emission', '<f4', (3,)), ('sky_direction', '<f4', (3,)), ('parent', '<u4'), ('samples', '<u4'), "
                        "('sky', '<u4'), ('absorbed', '<u4'), ('row_total', '<f4'), ('sky_fraction', '<f4'), "
                        "('sky_quadratic', '<f4', (5,)), ('lamp_group', '<u4')",
                        world.levels()[level].nodes));

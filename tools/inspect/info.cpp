@@ -2,8 +2,8 @@
 
 #include <bit>
 
-#include "formats/records.h"
-#include "formats/whole_world.h"
+#include "formats/codec/records.h"
+#include "formats/read/whole_world.h"
 #include "tools/inspect/inspect.h"
 
 namespace ff::tools {
@@ -111,7 +111,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"origin", info.origin},
                     {"bounds", toJson(info.bounds)},
                     {"rays", info.rays},
-                    {"quanta", info.quanta},
+                    {"samples", info.quanta},
                     {"seed", info.seed},
                     {"bake_key", hexText(info.bake_key)},
                     {"row_total_deviation", info.row_total_deviation},
@@ -132,7 +132,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
   fmt::print(out.to, "baked        by {}, key {}\n", info.generator, hexText(info.bake_key));
   fmt::print(out.to, "bounds       {:g} {:g} {:g} to {:g} {:g} {:g} ({:.4g} x {:.4g} x {:.4g} m)\n", info.bounds.lo.x,
              info.bounds.lo.y, info.bounds.lo.z, info.bounds.hi.x, info.bounds.hi.y, info.bounds.hi.z, e.x, e.y, e.z);
-  fmt::print(out.to, "settings     cell {:g} m, {} rays, {} quanta, seed {}\n", info.cell_m, info.rays, info.quanta,
+  fmt::print(out.to, "settings     cell {:g} m, {} rays a patch, {} samples a row, seed {}\n", info.cell_m, info.rays, info.quanta,
              info.seed);
   fmt::print(out.to, "measured     absorbed {:.4f} %, row totals within {:.2f} %\n", 100 * info.absorbed_fraction,
              100 * static_cast<double>(info.row_total_deviation));

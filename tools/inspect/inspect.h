@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 
 namespace ff::tools {

@@ -23,7 +23,7 @@ json toJson(const Node& n) {
           {"normal", toJson(n.normal)},
           {"albedo", toJson(n.albedo)},
           {"emission", toJson(n.emission)},
-          {"quanta", n.quanta},
+          {"samples", n.quanta},
           {"sky", n.sky},
           {"absorbed", n.absorbed},
           {"row_total", n.row_total},
@@ -136,7 +136,7 @@ void printNode(std::FILE* to, const World& world, const Node& n) {
   printVec(to, "albedo", n.albedo);
   printVec(to, "emission", n.emission);
   if (n.lamp_group != kNoLampGroup) fmt::print(to, "{:<14}{} \"{}\"\n", "lamp_group", n.lamp_group, groupName(world, n.lamp_group));
-  fmt::print(to, "{:<14}{} = sky {} + absorbed {} + entries {}\n", "quanta", n.quanta, n.sky, n.absorbed,
+  fmt::print(to, "{:<14}{} = sky {} + absorbed {} + entries {}\n", "samples", n.quanta, n.sky, n.absorbed,
              n.quanta - n.sky - n.absorbed);
   fmt::print(to, "{:<14}{:.6g}\n", "row_total", n.row_total);
   fmt::print(to, "{:<14}{:.6g}\n", "sky_fraction", n.sky_fraction);
@@ -220,11 +220,11 @@ Result<void> inspectTile(const World& world, uint32_t level, const TileName& nam
   fmt::print(out.to, "{} nodes, {} entries in {} blocks\n", info.nodes, info.entries, strip->blocks.size());
   printVec(out.to, "bounds lo", info.bounds.lo);
   printVec(out.to, "bounds hi", info.bounds.hi);
-  fmt::print(out.to, "\n{:>5} {:>10} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8} {:>6} {:>6}\n", "index", "area_m2", "centroid", "normal",
-             "albedo", "quanta", "sky", "absorbed", "sky %", "total", "lamps");
+  fmt::print(out.to, "\n{:>5} {:>10} {:>28} {:>21} {:>21} {:>7} {:>6} {:>8} {:>8} {:>6} {:>6}\n", "index", "area_m2", "centroid", "normal",
+             "albedo", "samples", "sky", "absorbed", "sky %", "total", "lamps");
   for (size_t i = 0; i < strip->nodes.size(); ++i) {
     const Node& n = strip->nodes[i];
-    fmt::print(out.to, "{:>5} {:>10.4g} {:>28} {:>21} {:>21} {:>6} {:>6} {:>8} {:>8.3f} {:>6.3f} {:>6}\n", i, n.area_m2,
+    fmt::print(out.to, "{:>5} {:>10.4g} {:>28} {:>21} {:>21} {:>7} {:>6} {:>8} {:>8.3f} {:>6.3f} {:>6}\n", i, n.area_m2,
                fmt::format("{:.2f} {:.2f} {:.2f}", n.centroid.x, n.centroid.y, n.centroid.z),
                fmt::format("{:.2f} {:.2f} {:.2f}", n.normal.x, n.normal.y, n.normal.z),
                fmt::format("{:.3f} {:.3f} {:.3f}", n.albedo.x, n.albedo.y, n.albedo.z), n.quanta, n.sky, n.absorbed,

@@ -3,14 +3,14 @@
 
 #include <chrono>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/inspect/inspect.h"
 #include "tools/inspect/world_check.h"
 
 namespace ff::tools {
 namespace {
 
-constexpr size_t kMostFindings = 20;  // printed of each kind; all are counted
+constexpr size_t kMaxFindings = 20;  // printed of each kind; all are counted
 
 // One line on a terminal, nothing elsewhere.
 class Progress {
@@ -45,8 +45,8 @@ nlohmann::json toJson(const std::vector<Error>& errors) {
 }
 
 void printFindings(std::FILE* to, const std::vector<Error>& errors) {
-  for (size_t i = 0; i < errors.size() && i < kMostFindings; ++i) fmt::print(to, "  {}\n", errors[i].line());
-  if (errors.size() > kMostFindings) fmt::print(to, "  ... and {} more\n", errors.size() - kMostFindings);
+  for (size_t i = 0; i < errors.size() && i < kMaxFindings; ++i) fmt::print(to, "  {}\n", errors[i].line());
+  if (errors.size() > kMaxFindings) fmt::print(to, "  ... and {} more\n", errors.size() - kMaxFindings);
 }
 
 }  // namespace

@@ -9,8 +9,8 @@
 #include <mutex>
 #include <thread>
 
-#include "formats/strip_codec.h"
-#include "formats/whole_world.h"
+#include "formats/codec/strip_codec.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::tools {
 
@@ -150,7 +150,7 @@ class Checker {
     for (uint32_t i = 0; i < level.nodes.size(); ++i) {
       const Node& n = level.nodes[i];
       const auto total = static_cast<double>(n.row_total), f = static_cast<double>(n.sky_fraction);
-      if (!(level.area[i] > 0) || n.quanta == 0 || !(total > 0) || total >= kMostTotal) continue;
+      if (!(level.area[i] > 0) || n.quanta == 0 || !(total > 0) || total >= kMaxTotal) continue;
       const double expected = n.quanta * f / total;
       const double deviation = world_.info().rays > 0 ? n.quanta * std::sqrt(std::max(0.0, f * (1 - f)) / world_.info().rays) : 0;
       const double allowed = 1 + kFractionStep * expected + kDeviations * deviation;
@@ -162,7 +162,7 @@ class Checker {
       if (tile == last_tile) continue;  // one finding a tile
       last_tile = tile;
       check_.unphysical.push_back(unphysical({l, tile}, "node " + std::to_string(i - world_.tiles(l)[tile].first_node) + ": " + std::to_string(n.sky) + " of " +
-                                                            std::to_string(n.quanta) + " quanta are sky, its fraction of sky makes " +
+                                                            std::to_string(n.quanta) + " samples are sky, its fraction of sky makes " +
                                                             std::to_string(expected) + " of them"));
     }
   }
@@ -364,7 +364,7 @@ PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_
   PairCheck p{level, i, j, quantum_i * from_i.count, quantum_j * from_j.count, 0};
   const double larger = std::max(p.x_ij, p.x_ji);
   p.bound = quantum_i + quantum_j + (kFractionStep + kRounding) * larger + kRounding * (quantum_i + quantum_j);
-  if (from_i.total >= kMostTotal || from_j.total >= kMostTotal) p.bound = std::numeric_limits<double>::infinity();
+  if (from_i.total >= kMaxTotal || from_j.total >= kMaxTotal) p.bound = std::numeric_limits<double>::infinity();
   return p;
 }
 

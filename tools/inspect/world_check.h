@@ -4,7 +4,7 @@
 // Reciprocity: with X_ij = A_i t_i n_ij / Q_i, t_i the row's own total, both rows are systematic samples of one pooled
 // exchange area X. A count is within 1 of its expectation, and a total is stored with 12 bits. Hence
 //   |X_ij - X_ji| <= A_i t_i / Q_i + A_j t_j / Q_j + 2^-11 max(X_ij, X_ji), and a little for rounding.
-// Totals from kMostTotal on were clamped: nothing is known of such a row's exchange.
+// Totals from kMaxTotal on were clamped: nothing is known of such a row's exchange.
 //
 // Sky: a row's count of it is within 1 of Q f / t, f the fraction of sky, but that rays of their own may have told f: their
 // noise is that of a share among WorldInfo::rays, of which six standard deviations are granted.
@@ -17,11 +17,11 @@
 #include <string>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::tools {
 
-inline constexpr double kMostTotal = 16;
+inline constexpr double kMaxTotal = 16;
 
 // What one end of a pair knows of it.
 struct PairEnd {

@@ -310,11 +310,11 @@ CameraPath findPath(const ViewScene& scene) {
     around.detail = detail.around(*eye);
     if (around.backs < 0.03) places.push_back(std::move(around));
   }
-  double most_patches = 0, most_detail = 0;
+  double max_patches = 0, max_detail = 0;
   std::vector<double> lights;
   for (const Panorama& p : places) {
-    most_patches = std::max(most_patches, p.patches);
-    most_detail = std::max(most_detail, p.detail);
+    max_patches = std::max(max_patches, p.patches);
+    max_detail = std::max(max_detail, p.detail);
     lights.push_back(p.light);
   }
   if (!lights.empty()) std::nth_element(lights.begin(), lights.begin() + static_cast<std::ptrdiff_t>(lights.size() / 2), lights.end());
@@ -323,7 +323,7 @@ CameraPath findPath(const ViewScene& scene) {
   const Panorama* where = nullptr;
   int column = 0;
   for (const Panorama& p : places) {
-    const double place = p.patches / most_patches * std::sqrt(p.detail / most_detail) * (0.05 + p.light / (p.light + usual_light));
+    const double place = p.patches / max_patches * std::sqrt(p.detail / max_detail) * (0.05 + p.light / (p.light + usual_light));
     for (int c = 0; c < kColumns; ++c) {
       const double score = place * pictureScore(scene, p, c, person.eyeHeight());
       if (score <= best) continue;

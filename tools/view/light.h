@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/updater.h"
 #include "shaders/shared.h"
 #include "stream/streamer.h"

@@ -2,7 +2,7 @@
 
 #include <span>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/lamps.h"
 
 namespace ff::view {

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 
 namespace ff::view {

@@ -11,7 +11,7 @@ namespace ff::view {
 namespace {
 
 constexpr float kTexelsPerCell = 32;
-constexpr double kMostTexels = double{1 << 27};
+constexpr double kMaxTexels = double{1 << 27};
 constexpr float kBackFaceCells = 0.02f;  // see sun.frag
 
 // m * v + a in column-major form: rows of x, y, z.
@@ -95,7 +95,7 @@ void SunRaster::drawShadow(VkCommandBuffer commands, const DrawGeometry& geometr
 Result<std::vector<float>> SunRaster::exposure(const DrawGeometry& geometry, const ViewScene& scene, Vec3 to_sun) {
   const SunWindow whole = sunWindow(to_sun, geometry.bounds);
   const double width = static_cast<double>(whole.right1 - whole.right0), height = static_cast<double>(whole.up1 - whole.up0);
-  const double texel = std::max(static_cast<double>(scene.cell_m / kTexelsPerCell), std::sqrt(width * height / kMostTexels));
+  const double texel = std::max(static_cast<double>(scene.cell_m / kTexelsPerCell), std::sqrt(width * height / kMaxTexels));
   const double tile = texel * target_.extent().width;
 
   const std::vector<uint32_t> zero(geometry.patches);

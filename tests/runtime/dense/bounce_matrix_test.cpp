@@ -42,7 +42,7 @@ TEST(CpuMultibounce, HasTheSameBitsForAnyNumberOfThreadsSlicedOrNot) {
   }
 }
 
-// Updates go on from factors that are not in the matrix yet, up to kMostRank of them; a refused one leaves them alone.
+// Updates go on from factors that are not in the matrix yet, up to kMaxRank of them; a refused one leaves them alone.
 TEST(CpuMultibounce, ManySmallUpdatesShareAPassAndAreExactInBetween) {
   const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 40});
   auto made = makeCpuMultibounce({.places = 200, .time_slice = true, .threads = 2});
@@ -183,7 +183,7 @@ void compareKernels() {
     else
       m = uniform();
   }
-  std::vector<float> a(rows * kMostRank), b(columns * kFactorStride), weight(rows), factor[3];
+  std::vector<float> a(rows * kMaxRank), b(columns * kFactorStride), weight(rows), factor[3];
   for (auto* v : {&a, &b, &weight})
     for (float& x : *v) x = uniform();
   std::vector<uint32_t> start{0}, index, list;
@@ -222,7 +222,7 @@ void compareKernels() {
   portable.addColumns3(matrix.data(), stride, 16, rows, list.data(), factors, 23, out0);
   fast.addColumns3(matrix.data(), stride, 16, rows, list.data(), factors, 23, out1);
   for (int c = 0; c < 3; ++c) same(e1[c], e0[c]);
-  std::vector<float> g0(rows * kMostRank), g1(rows * kMostRank);
+  std::vector<float> g0(rows * kMaxRank), g1(rows * kMaxRank);
   portable.gatherColumns(matrix.data(), stride, 0, rows, vectors, g0.data());
   fast.gatherColumns(matrix.data(), stride, 0, rows, vectors, g1.data());
   same(g1, g0);

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "runtime/cut/matrix_assembler.h"
-#include "runtime/dense/bounce_probe.h"
+#include "runtime/dense/bounce_monitor.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "tests/runtime/solver/solver_truth.h"

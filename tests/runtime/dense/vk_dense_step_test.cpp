@@ -446,7 +446,7 @@ TEST_F(VkDenseStep, NodesThatCannotLeaveSpoilTheMatrixAndNothingElse) {
     for (const uint32_t s : m.leaves) ASSERT_LT(out[s].y, 100) << "frame " << frame;  // sources are below 10
   }
   EXPECT_EQ(solver->dense()->rebuilds, 1u);
-  EXPECT_EQ(solver->dense()->refused, 0u) << "what the spoilt matrix refused is nobody's fault";
+  EXPECT_EQ(solver->dense()->refused, 0u) << "what the corrupt matrix refused is nobody's fault";
   EXPECT_NE(solver->dense()->last_event.find("lost its precision"), std::string::npos) << solver->dense()->last_event;
   EXPECT_LE(differenceOf(m, out, converged(m, randomSource(m, 2))), kRounding);
 }

@@ -7,7 +7,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/probes/facet_scene.h"
 #include "tests/runtime/probes/radiance_oracle.h"
 #include "tests/support/analytic_scenes.h"
@@ -373,7 +373,7 @@ TEST(Probes, KeptProbesFollowTheLightWithoutNewRays) {
 
 // Also right after a change of the cut, before a kept probe's turn for new rays has come.
 TEST(Probes, AWalkLeavesNoTraceInTheAnswers) {
-  Frame wandering(town(), townLight().sun(), kSky, {.rays = 64}), lazy(town(), townLight().sun(), kSky, {.rays = 64, .most_refreshed = 0});
+  Frame wandering(town(), townLight().sun(), kSky, {.rays = 64}), lazy(town(), townLight().sun(), kSky, {.rays = 64, .max_refreshed = 0});
   Places places(townLight(), 11);
   const Vec3 home = places.observer(town().info().bounds);
   std::vector<Place> probes;
@@ -398,7 +398,7 @@ TEST(Probes, AWalkLeavesNoTraceInTheAnswers) {
 }
 
 TEST(Probes, FollowingAndSamplingAllocateAndFreeNothing) {
-  Frame frame(town(), townLight().sun(), kSky, {.rays = 64, .most_kept = 32, .facet_bytes = 1 << 20});
+  Frame frame(town(), townLight().sun(), kSky, {.rays = 64, .max_kept = 32, .facet_bytes = 1 << 20});
   Places places(townLight(), 12);
   std::vector<Place> probes;
   const Vec3 home = places.observer(town().info().bounds);

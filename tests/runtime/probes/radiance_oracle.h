@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "bake/rays/ray_caster.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"

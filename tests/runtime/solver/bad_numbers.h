@@ -57,7 +57,7 @@ inline void expectBadNumbersLeaveNoTrace(const std::function<std::unique_ptr<Sol
 }
 
 // What a step makes is looked at as well: with an albedo that is not finite, or one past all bounds, a slot goes on
-// from its source and no other is spoilt.
+// from its source and no other is corrupt.
 inline void expectAStepKeepsNothingUnsound(const std::function<std::unique_ptr<Solver>()>& make, LocalMatrix m) {
   const std::vector<Vec4> source = randomSource(m, 2);
   const uint32_t slot = m.leaves[m.leaves.size() / 2];

@@ -59,7 +59,7 @@ TEST(BreakingPoint, DrawsALineUpToWhereItLeavesTheChart) {
   ASSERT_EQ(series.points.size(), 3u);
   EXPECT_EQ(series.points[0].y, kLeastDrawn);
   EXPECT_EQ(series.points[1].y, 0.5);
-  EXPECT_EQ(series.points[2].y, kMostDrawn);
+  EXPECT_EQ(series.points[2].y, kMaxDrawn);
   EXPECT_NE(series.points[2].hover.find("not finite"), std::string::npos) << series.points[2].hover;
 }
 

@@ -12,7 +12,7 @@
 #include <numeric>
 
 #include "bake/bake.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tests/support/analytic_scenes.h"
 #include "tools/chart/scene_of_model.h"
 #include "tools/scene/analytic.h"

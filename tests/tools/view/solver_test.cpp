@@ -4,7 +4,7 @@
 
 #include <fstream>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/choose_solver.h"
 #include "tests/support/random_world.h"
 

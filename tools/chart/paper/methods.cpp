@@ -6,7 +6,7 @@
 #include <numeric>
 #include <utility>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/solver/solver.h"

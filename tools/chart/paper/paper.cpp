@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "bake/import/gltf_import.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/page/figure_text.h"
 #include "tools/chart/paper/methods.h"

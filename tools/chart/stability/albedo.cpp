@@ -22,7 +22,7 @@ constexpr double kReached = 0.01;
 // Iterations of gather from dark until reflected radiosity is within kReached; the error after three and after as many
 // as the viewer makes.
 struct Gathered {
-  int reached = 0;  // 0: not within kMostIterations
+  int reached = 0;  // 0: not within kMaxIterations
   double after_three = 0, after_viewers = 0, settled = 0;
 };
 
@@ -52,7 +52,7 @@ Result<Gathered> gatherFromDark(const PatchSet& set, std::span<const uint32_t> p
     return ok;
   };
   double before = 1;
-  for (int next = 1; next <= kMostIterations; next = std::max(next + 1, next + next / 20)) {
+  for (int next = 1; next <= kMaxIterations; next = std::max(next + 1, next + next / 20)) {
     for (const auto& [at, to] : {std::pair{3, &g.after_three}, {kViewerIterations, &g.after_viewers}})
       if (done < at && next >= at) {
         if (auto ok = upTo(at); !ok) return ok.error();
@@ -111,7 +111,7 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
     if (!gathered) return gathered.error();
     const std::string reached = gathered->reached > 0
                                     ? "1 % after " + numberText(gathered->reached) + " iterations"
-                                    : "not within 1 % after " + numberText(kMostIterations) + " iterations";
+                                    : "not within 1 % after " + numberText(kMaxIterations) + " iterations";
     add("plain local, 3 products", rho, gathered->after_three, "nothing: three bounces are all it makes");
     add("gather, " + std::to_string(kViewerIterations) + " from dark", rho, gathered->after_viewers,
         "goes on from the last frame: at albedo " + numberText(rho) + " " + reached);

@@ -10,7 +10,7 @@
 
 namespace ff::chart {
 
-inline constexpr int kMostIterations = 200000;
+inline constexpr int kMaxIterations = 200000;
 inline constexpr int kViewerIterations = 64;  // ffview's default before a picture
 
 inline std::vector<float> albedosOf(bool quick) {

@@ -55,9 +55,9 @@ Series seriesOf(const Measured& m, const std::string& name) {
   Series series;
   series.name = name;
   for (const Measured::Point& p : m.points) {
-    const bool past = !(p.error <= kMostDrawn);
+    const bool past = !(p.error <= kMaxDrawn);
     series.points.push_back({.x = p.at,
-                             .y = past ? kMostDrawn : std::max(p.error, kLeastDrawn),
+                             .y = past ? kMaxDrawn : std::max(p.error, kLeastDrawn),
                              .hover = name + ", " + m.knob + " " + withUnit(m, p.at) + ": " + percentText(p.error),
                              .label = std::isfinite(p.error) ? "" : "not finite"});
     if (past) break;

@@ -14,9 +14,9 @@ std::string notFinite(const Measured& measured);
 // The largest error; infinity is "not finite".
 std::string worst(const Measured& measured);
 
-// A line of a chart. Errors above kMostDrawn end the line there, errors below kLeastDrawn lie on it; the hover has the
+// A line of a chart. Errors above kMaxDrawn end the line there, errors below kLeastDrawn lie on it; the hover has the
 // number itself.
-inline constexpr double kMostDrawn = 10, kLeastDrawn = 1e-9;
+inline constexpr double kMaxDrawn = 10, kLeastDrawn = 1e-9;
 Series seriesOf(const Measured& measured, const std::string& name);
 
 // One row a method and case.

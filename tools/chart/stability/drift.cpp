@@ -35,7 +35,7 @@ class Walker {
   virtual Result<std::vector<Rgb>> reflected(std::span<const uint32_t> present) = 0;
   virtual std::string then() const = 0;
   virtual bool stopped() const { return false; }
-  uint32_t most_swaps = 0;
+  uint32_t max_swaps = 0;
   Measured measured;
 };
 
@@ -156,13 +156,13 @@ Result<std::vector<std::unique_ptr<Walker>>> walkersOf(const WalkCase& walk, con
                                                        std::span<const Vec4> light, int threads) {
   std::vector<std::unique_ptr<Walker>> walkers;
   const auto add = [&](const char* name, Result<std::unique_ptr<BounceMatrix>> matrix, bool corrected,
-                       uint32_t most_swaps) -> Result<void> {
+                       uint32_t max_swaps) -> Result<void> {
     if (!matrix) return matrix.error();
     if (corrected)
       walkers.push_back(std::make_unique<Corrected>(set, light, std::move(*matrix), threads));
     else
       walkers.push_back(std::make_unique<Bare>(set, light, std::move(*matrix)));
-    walkers.back()->most_swaps = most_swaps;
+    walkers.back()->max_swaps = max_swaps;
     walkers.back()->measured = {
         .scene = walk.name, .method = name, .knob = "swaps", .unit = "", .points = {}, .then = {}};
     return {};
@@ -207,7 +207,7 @@ Result<std::vector<Measured>> measureWalk(const WalkCase& walk, int threads) {
     const std::vector<Rgb> exact = check ? exactReflected(set, present, light) : std::vector<Rgb>();
     for (auto& walker : *walkers) {
       const Measured& so_far = walker->measured;
-      const bool over = walker->stopped() || before >= walker->most_swaps ||
+      const bool over = walker->stopped() || before >= walker->max_swaps ||
                         (!so_far.points.empty() && !std::isfinite(so_far.points.back().error));
       if (over) continue;
       if (auto stepped = walker->step(step, present); !stepped) return stepped.error();

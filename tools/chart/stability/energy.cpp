@@ -95,7 +95,7 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
     const auto places = static_cast<uint32_t>(furnace->matrix.leaves.size());
     const std::string clamped = "the bake lowered " +
                                 numberText(static_cast<double>(furnace->baked.stats().clamped_nodes)) + " albedos to " +
-                                numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4);
+                                numberText(std::round(static_cast<double>(bake::kMaxReflected) * 1e4) / 1e4);
     const auto add = [&](const std::string& method, Result<double> energy) {
       addPoint(by_method, "energy of a furnace (share gained or lost)", method, rho,
                energy && std::isfinite(*energy) ? *energy : std::numeric_limits<double>::infinity(),
@@ -104,7 +104,7 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
     const auto source = fullSource(furnace->baked.world(), {}, {}, Lamps(furnace->baked.world().info()));
     if (!source) return source.error();
     const auto full = solveFullWorld(furnace->baked.world(), *source,
-                                     {.tolerance = 1e-10, .max_iterations = kMostIterations, .threads = 1});
+                                     {.tolerance = 1e-10, .max_iterations = kMaxIterations, .threads = 1});
     if (!full) return full.error();
     double sum = 0;
     for (const formats::TileInfo& info : furnace->baked.world().tiles(0)) {
@@ -118,7 +118,7 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
     const auto gather = makeCpuGather(1);
     add("gather, " + std::to_string(kViewerIterations) + " from dark", energyOf(*furnace, *gather, kViewerIterations));
     // What is left then is e^-14 of it. The box is small: threads would wait for each other.
-    const double kept = std::min(rho, static_cast<double>(bake::kMostReflected));
+    const double kept = std::min(rho, static_cast<double>(bake::kMaxReflected));
     const int enough = static_cast<int>(std::ceil(-14 / std::log(kept)));
     add("gather, settled", energyOf(*furnace, *makeCpuGather(1), enough));
     const MultibounceSettings fp32{.places = places, .threads = options.threads};
@@ -139,7 +139,7 @@ Result<StabilityPart> stabilityOfEnergy(const StabilityOptions& options, const S
       "energy-albedo", "Energy of a furnace against B = M / (1 - albedo)", "share of energy gained or lost",
       "A closed cube of 384 patches, baked; every wall shines alike. The amount; the hover says whether gained or "
       "lost. Past " +
-          numberText(std::round(static_cast<double>(bake::kMostReflected) * 1e4) / 1e4) +
+          numberText(std::round(static_cast<double>(bake::kMaxReflected) * 1e4) / 1e4) +
           " the bake lowers albedos, which costs energy on purpose; before it, albedos are stored in steps of 1 / "
           "65535, and "
           "that is multiplied as light is.");

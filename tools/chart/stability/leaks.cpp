@@ -5,12 +5,12 @@
 #include <cmath>
 #include <utility>
 
-#include "formats/whole_world.h"
-#include "stream/strip_loader.h"
 #include "bake/light/form_factor.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/solver/solver.h"
 #include "stream/streamer.h"
+#include "stream/strip_loader.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/neighbourhood.h"
 #include "tools/chart/patch_rows.h"

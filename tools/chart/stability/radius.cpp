@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/baked_scene.h"
 #include "tools/chart/neighbourhood.h"
 #include "tools/chart/scene_of_model.h"

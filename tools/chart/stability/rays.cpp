@@ -105,7 +105,7 @@ Chart raysChart(std::string id, std::string title, std::string y_label, std::str
   return chart;
 }
 
-constexpr uint32_t kMostRays = 16384;
+constexpr uint32_t kMaxRays = 16384;
 
 Result<Measured> closedFormErrors(const ClosedForm& form, const std::vector<uint32_t>& counts, uint32_t seeds,
                                   uint64_t first_seed, Series& series) {
@@ -148,7 +148,7 @@ Result<Measured> closedFormErrors(const ClosedForm& form, const std::vector<uint
 
 Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const StabilityProgress& progress) {
   StabilityPart part;
-  const std::vector<uint32_t> counts = raysOf(kMostRays);
+  const std::vector<uint32_t> counts = raysOf(kMaxRays);
   const uint32_t seeds = options.quick ? 8 : 64;
   Chart forms =
       raysChart("error-rays-closed-forms", "Error against rays: closed forms", "relative error of the form factor",
@@ -197,7 +197,7 @@ Result<StabilityPart> stabilityOfRays(const StabilityOptions& options, const Sta
     const PatchRows rows = rowsOf(scene, *cast, rays, quanta, seed);
     return solveRows(cast->set, rows, sunAndSky(cast->set, rows, sun), 1e-9);
   };
-  const uint32_t truth_rays = options.quick ? 4096 : kMostRays;
+  const uint32_t truth_rays = options.quick ? 4096 : kMaxRays;
   const std::vector<double> truth = light(truth_rays, 0, options.seed + 77);
   const std::string patches = numberText(static_cast<double>(cast->set.patches.size()));
   Measured all{.scene = "town of " + patches + " patches, sun and sky",

@@ -13,7 +13,7 @@ using namespace walks;
 
 namespace {
 
-constexpr uint32_t kMostEliminated = 512;
+constexpr uint32_t kMaxEliminated = 512;
 
 double channel(const Vec4& v, size_t c) { return static_cast<double>(c == 0 ? v.x : c == 1 ? v.y : v.z); }
 
@@ -136,7 +136,7 @@ void WalkMatrix::set(std::span<const uint32_t> present, std::span<const uint32_t
 }
 
 std::vector<Rgb> exactReflected(const PatchSet& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
-  return present.size() <= kMostEliminated ? byElimination(set, present, light) : byIteration(set, present, light);
+  return present.size() <= kMaxEliminated ? byElimination(set, present, light) : byIteration(set, present, light);
 }
 
 double relativeDifference(std::span<const Rgb> a, std::span<const Rgb> b, std::span<const uint32_t> present) {

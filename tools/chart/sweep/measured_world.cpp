@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/full_solve.h"
 
 namespace ff::chart {

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "bake/bake.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "runtime/cut/node_values.h"
 #include "tools/chart/sweep/knobs.h"
 #include "tools/chart/truth/path_tracer.h"

@@ -12,7 +12,7 @@
 namespace ff::chart {
 namespace {
 
-constexpr uint32_t kPilotPaths = 2048, kMostPaths = 1u << 20;  // a surface
+constexpr uint32_t kPilotPaths = 2048, kMaxPaths = 1u << 20;  // a surface
 
 // What each surface is given, 3 each; nothing where nothing is drawn.
 std::vector<double> ofSurfaces(const SeenPixels& seen, std::span<const double> of_patches) {
@@ -116,7 +116,7 @@ std::vector<PatchTruth> truthOfSeen(const PathTracer& tracer, const SeenPixels& 
   }
   for (size_t k = 0; k < surfaces.size(); ++k) {
     const double share = sum > 0 ? need[k] / sum * static_cast<double>(settings.paths) : 0;
-    surfaces[k].paths = static_cast<uint32_t>(std::clamp<double>(share, kPilotPaths, kMostPaths));
+    surfaces[k].paths = static_cast<uint32_t>(std::clamp<double>(share, kPilotPaths, kMaxPaths));
   }
   return tracer.traceSeen(surfaces, light, settings.seed, settings.threads);
 }

@@ -5,13 +5,13 @@
 #include <cmath>
 #include <limits>
 
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 namespace ff::chart {
 namespace {
 
 constexpr float kFineness = 12;  // pieces of a triangle's size over its distance from an emitter
-constexpr float kFewestPieces = 2, kMostPieces = 16;
+constexpr float kFewestPieces = 2, kMaxPieces = 16;
 
 // A small lamp far away spans angles whose cosines a float takes for 1.
 using Exact = std::array<double, 3>;
@@ -84,7 +84,7 @@ Result<std::vector<Vec3>> AreaLight::irradianceOfPatches(const formats::WholeWor
       float nearest = std::numeric_limits<float>::max();
       for (const Emitter& e : emitters_) nearest = std::min(nearest, length((e.corner[0] + e.corner[1] + e.corner[2]) / 3 - middle));
       const float size = std::max(length(ab), length(ac));
-      const int pieces = static_cast<int>(std::clamp(std::ceil(kFineness * size / nearest), kFewestPieces, kMostPieces));
+      const int pieces = static_cast<int>(std::clamp(std::ceil(kFineness * size / nearest), kFewestPieces, kMaxPieces));
       const double area = static_cast<double>(length(across)) / 2 / (pieces * pieces);
       auto& sum = sums[info.first_node + geometry->patch[t]];
       for (int i = 0; i < pieces; ++i)

@@ -12,7 +12,7 @@
 #include <thread>
 
 #include "bake/surface/lamp_groups.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/truth/sampling.h"
 #include "tools/chart/truth/scene_surface.h"
 
@@ -21,7 +21,7 @@ namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kSureBounces = 3;    // before roulette
-constexpr int kMostBounces = 4096;  // a path in a closed white room ends by roulette long before
+constexpr int kMaxBounces = 4096;  // a path in a closed white room ends by roulette long before
 
 constexpr float kLift = 4e-6f;  // of the largest coordinate
 
@@ -284,7 +284,7 @@ struct PathTracer::State {
     arrived.all = arrived.sun + arrived.direct;
     float reflected = dot(from.normal, direction) / kPi;  // density of the direction that was taken
     Vec3 point = from.point, throughput{1, 1, 1};  // of irradiance: pi times radiance where directions follow the cosine
-    for (int bounce = 0; bounce < kMostBounces; ++bounce) {
+    for (int bounce = 0; bounce < kMaxBounces; ++bounce) {
       ++cast_rays;
       const RTCRayHit hit = cast(solid, point, direction, std::numeric_limits<float>::infinity());
       if (hit.hit.geomID == RTC_INVALID_GEOMETRY_ID) {

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "bake/scene.h"
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 #include "tools/chart/truth/lighting.h"
 
 namespace ff::chart {

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 
 namespace ff::formats {
 

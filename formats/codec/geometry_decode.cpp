@@ -6,8 +6,8 @@
 #include <memory>
 #include <string>
 
-#include "formats/geometry.h"
-#include "formats/records.h"
+#include "formats/codec/geometry.h"
+#include "formats/codec/records.h"
 
 namespace ff::formats {
 namespace {

@@ -1,8 +1,8 @@
-#include "formats/shard.h"
+#include "formats/read/shard.h"
 
 #include <vector>
 
-#include "formats/checksum.h"
+#include "formats/codec/checksum.h"
 
 namespace ff::formats {
 

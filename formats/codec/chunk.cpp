@@ -1,4 +1,4 @@
-#include "formats/chunk.h"
+#include "formats/codec/chunk.h"
 
 #include <algorithm>
 #include <array>
@@ -6,8 +6,8 @@
 #include <new>
 #include <string>
 
-#include "formats/bytes.h"
-#include "formats/records.h"
+#include "formats/codec/bytes.h"
+#include "formats/codec/records.h"
 
 namespace ff::formats {
 namespace {

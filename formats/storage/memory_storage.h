@@ -4,7 +4,7 @@
 #include <map>
 #include <mutex>
 
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

@@ -7,11 +7,11 @@
 #include <initializer_list>
 #include <memory>
 
-#include "formats/bytes.h"
-#include "formats/checksum.h"
-#include "formats/records.h"
-#include "formats/strip_codec.h"
-#include "formats/writer.h"
+#include "formats/codec/bytes.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/records.h"
+#include "formats/codec/strip_codec.h"
+#include "formats/write/writer.h"
 
 namespace ff::formats {
 namespace {

@@ -1,4 +1,4 @@
-#include "formats/memory_storage.h"
+#include "formats/storage/memory_storage.h"
 
 #include <algorithm>
 #include <utility>

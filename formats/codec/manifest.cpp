@@ -1,11 +1,11 @@
-#include "formats/manifest.h"
+#include "formats/codec/manifest.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
 
-#include "formats/checksum.h"
+#include "formats/codec/checksum.h"
 
 namespace ff::formats {
 namespace {

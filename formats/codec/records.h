@@ -3,7 +3,7 @@
 #pragma once
 #include <cstdint>
 
-#include "formats/bytes.h"
+#include "formats/codec/bytes.h"
 #include "formats/model.h"
 
 namespace ff::formats {

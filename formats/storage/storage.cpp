@@ -1,4 +1,4 @@
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 #include <algorithm>
 

@@ -13,7 +13,7 @@
 
 #include "formats/model.h"
 #include "formats/result.h"
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

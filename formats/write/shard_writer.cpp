@@ -1,6 +1,6 @@
-#include "formats/shard_writer.h"
+#include "formats/write/shard_writer.h"
 
-#include "formats/checksum.h"
+#include "formats/codec/checksum.h"
 
 namespace ff::formats {
 namespace {

@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "formats/chunk.h"
+#include "formats/codec/chunk.h"
+#include "formats/codec/records.h"
 #include "formats/model.h"
-#include "formats/records.h"
 #include "formats/result.h"
 
 namespace ff::formats {

@@ -8,7 +8,7 @@
 #include <cstring>
 #include <utility>
 
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 namespace {

@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
+#include "formats/codec/records.h"
 #include "formats/model.h"
-#include "formats/records.h"
 #include "formats/result.h"
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

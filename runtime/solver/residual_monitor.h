@@ -7,7 +7,7 @@
 
 namespace ff::runtime {
 
-class ResidualProbe {
+class ResidualMonitor {
  public:
   // Largest |M + albedo * F B - B| of any channel over the largest B, on this frame's share of the leaves. Spans: by slot.
   double look(const LocalMatrix& matrix, std::span<const Vec4> source, std::span<const Vec4> radiosity);

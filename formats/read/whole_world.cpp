@@ -1,10 +1,10 @@
-#include "formats/whole_world.h"
+#include "formats/read/whole_world.h"
 
 #include <algorithm>
 #include <new>
 #include <tuple>
 
-#include "formats/records.h"
+#include "formats/codec/records.h"
 
 namespace ff::formats {
 

@@ -3,9 +3,9 @@
 #include <memory>
 #include <string>
 
-#include "formats/records.h"
+#include "formats/codec/records.h"
 #include "formats/result.h"
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

@@ -1,4 +1,4 @@
-#include "runtime/solver/residual_probe.h"
+#include "runtime/solver/residual_monitor.h"
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@ constexpr uint32_t kRowsAFrame = 256;
 
 }  // namespace
 
-double ResidualProbe::look(const LocalMatrix& matrix, std::span<const Vec4> source, std::span<const Vec4> radiosity) {
+double ResidualMonitor::look(const LocalMatrix& matrix, std::span<const Vec4> source, std::span<const Vec4> radiosity) {
   const auto leaves = static_cast<uint32_t>(matrix.leaves.size());
   float most = 0, largest = 0;
   for (const uint32_t slot : matrix.leaves) {

@@ -9,10 +9,10 @@
 #include <string>
 #include <vector>
 
-#include "formats/chunk.h"
+#include "formats/codec/chunk.h"
 #include "formats/model.h"
 #include "formats/result.h"
-#include "formats/storage.h"
+#include "formats/storage/storage.h"
 
 namespace ff::formats {
 

@@ -1,4 +1,4 @@
-#include "formats/checksum.h"
+#include "formats/codec/checksum.h"
 
 #include <xxhash.h>
 

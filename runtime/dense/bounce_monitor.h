@@ -22,9 +22,9 @@ inline constexpr double kOfFresh = 4;
 double defaultProbeLimit(const std::string& matrix_name);
 
 // No call allocates after construction.
-class BounceProbe {
+class BounceMonitor {
  public:
-  BounceProbe(uint32_t capacity, double limit);
+  BounceMonitor(uint32_t capacity, double limit);
 
   // The next x: of nodes that are on places now. It holds until the next call.
   void draw(const CutPlaces& places);

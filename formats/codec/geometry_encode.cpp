@@ -5,8 +5,8 @@
 #include <exception>
 #include <string>
 
-#include "formats/geometry.h"
-#include "formats/records.h"
+#include "formats/codec/geometry.h"
+#include "formats/codec/records.h"
 
 namespace ff::formats {
 namespace {

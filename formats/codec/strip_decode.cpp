@@ -7,10 +7,10 @@
 #include <memory>
 #include <new>
 
-#include "formats/bytes.h"
-#include "formats/checksum.h"
-#include "formats/records.h"
-#include "formats/strip_codec.h"
+#include "formats/codec/bytes.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/records.h"
+#include "formats/codec/strip_codec.h"
 
 namespace ff::formats {
 namespace {

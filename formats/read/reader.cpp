@@ -1,4 +1,4 @@
-#include "formats/reader.h"
+#include "formats/read/reader.h"
 
 #include <zstd.h>
 
@@ -7,11 +7,11 @@
 #include <mutex>
 #include <new>
 
-#include "formats/checksum.h"
-#include "formats/geometry.h"
-#include "formats/manifest.h"
-#include "formats/shard.h"
-#include "formats/strip_codec.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/geometry.h"
+#include "formats/codec/manifest.h"
+#include "formats/codec/strip_codec.h"
+#include "formats/read/shard.h"
 
 namespace ff::formats {
 

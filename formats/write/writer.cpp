@@ -1,14 +1,14 @@
-#include "formats/writer.h"
+#include "formats/write/writer.h"
 
 #include <zstd.h>
 
 #include <algorithm>
 
-#include "formats/checksum.h"
-#include "formats/chunk.h"
-#include "formats/geometry.h"
-#include "formats/manifest.h"
-#include "formats/shard_writer.h"
+#include "formats/codec/checksum.h"
+#include "formats/codec/chunk.h"
+#include "formats/codec/geometry.h"
+#include "formats/codec/manifest.h"
+#include "formats/write/shard_writer.h"
 
 namespace ff::formats {
 

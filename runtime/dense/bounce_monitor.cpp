@@ -1,4 +1,4 @@
-#include "runtime/dense/bounce_probe.h"
+#include "runtime/dense/bounce_monitor.h"
 
 #include <algorithm>
 #include <cmath>
@@ -15,13 +15,13 @@ double defaultProbeLimit(const std::string& matrix_name) {
   return matrix_name.find("fp16") != std::string::npos ? 2e-2 : 1e-4;
 }
 
-BounceProbe::BounceProbe(uint32_t capacity, double limit) : limit_(limit) {
+BounceMonitor::BounceMonitor(uint32_t capacity, double limit) : limit_(limit) {
   for (auto* list : {&drawn_, &sampled_}) list->reserve(capacity);
   x_.reserve(capacity);
   for (auto* per_slot : {&work_, &minus_, &residual_}) per_slot->reserve(kMaxSlots);
 }
 
-void BounceProbe::draw(const CutPlaces& places) {
+void BounceMonitor::draw(const CutPlaces& places) {
   const auto random = [this] {
     random_ = random_ * 6364136223846793005u + 1442695040888963407u;
     return static_cast<float>(random_ >> 40) / 16777216.0f;
@@ -41,7 +41,7 @@ void BounceProbe::draw(const CutPlaces& places) {
   }
 }
 
-void BounceProbe::judge(const LocalMatrix& matrix, const CutPlaces& places, SparseRows& rows, std::span<const Vec4> y) {
+void BounceMonitor::judge(const LocalMatrix& matrix, const CutPlaces& places, SparseRows& rows, std::span<const Vec4> y) {
   verdict_.clear();
   for (auto* per_slot : {&work_, &minus_, &residual_}) per_slot->assign(matrix.slots(), {});
   // F x, then F (x + C y) - y.
@@ -73,7 +73,7 @@ void BounceProbe::judge(const LocalMatrix& matrix, const CutPlaces& places, Spar
     verdict_ = "residual probe " + std::to_string(round_) + " above its limit of " + std::to_string(limit);
 }
 
-void BounceProbe::builtAnew() {
+void BounceMonitor::builtAnew() {
   frame_ = 0;
   left_ = norm_ = 0;
   fresh_ = -1;
