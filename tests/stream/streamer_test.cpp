@@ -227,6 +227,23 @@ TEST(ResidentBytes, AStripTakesNoMoreThanIsKnownOfItBeforeItIsRead) {
   }
 }
 
+TEST_F(StreamerTest, WhatIsWantedNoMoreIsKeptWithinABudgetOfItsOwn) {
+  for (const uint64_t kept : {uint64_t{0}, uint64_t{50000}}) {
+    const auto streamer = make({.radius_m = 6, .hysteresis = 1.0f, .kept_bytes = kept}, memory());
+    std::mt19937_64 random(5);
+    for (int i = 0; i < 12; ++i) {
+      settledAt(*streamer, randomPlace(random));
+      uint64_t wanted = 0;
+      for (const StripPtr& strip : streamer->active()) wanted += residentBytes(*strip);  // settled: all that is wanted
+      ASSERT_LE(streamer->stats().resident_bytes, wanted + kept);
+      if (kept == 0) {
+        ASSERT_EQ(streamer->stats().resident_tiles, streamer->stats().wanted_tiles);
+      }
+    }
+    EXPECT_GT(streamer->stats().evicted, 0u);
+  }
+}
+
 TEST_F(StreamerTest, AReturnWithinTheBudgetReadsNothingAgain) {
   const auto streamer = make(kNoHistory, memory());
   settledAt(*streamer, {10, 1, 10});
