@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numeric>
 #include <tuple>
 
@@ -199,10 +200,11 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
       for (uint32_t k = 0; k < above.size(); ++k) number[above[k]] = k;
       for (const uint32_t k : now) h.parents[l].push_back(number[own.parent[k]]);
     }
+    std::map<formats::ChunkCell, uint32_t> numbers;  // of tiles so far
     for (uint32_t t = 0; t + 1 < h.tile_start[l].size(); ++t) {
       formats::TileName name;
       for (size_t a = 0; a < 3; ++a) name.chunk[a] = patches[order[own.first[now[h.tile_start[l][t]]]].patch].cell[a] >> (level + formats::kChunkLog);
-      if (t > 0 && h.names[l].back().chunk == name.chunk) name.tile = h.names[l].back().tile + 1;
+      name.tile = numbers[name.chunk]++;
       h.names[l].push_back(name);
     }
     above.swap(now);

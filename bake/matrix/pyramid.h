@@ -40,7 +40,8 @@ struct Hierarchy {
   std::vector<std::vector<uint32_t>> tile_start;
   // tile_parents[l][t]: the tile of level l + 1 that holds the parents of all of tile t's nodes; non-decreasing.
   std::vector<std::vector<uint32_t>> tile_parents;
-  // names[l][t]: of tile t. The tiles of a chunk follow each other, and child tiles of one tile lie in one chunk.
+  // names[l][t]: of tile t. Child tiles of one tile lie in one chunk. Where a coarse cell has more nodes than a tile, the tiles of a chunk far below
+  // do not follow each other: first those beneath one of its tiles, then those beneath the next.
   std::vector<std::vector<formats::TileName>> names;
   uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
 };

@@ -70,7 +70,7 @@ std::string chunkText(uint32_t level, const ChunkCell& c) {
   return "chunk " + std::to_string(c[0]) + "," + std::to_string(c[1]) + "," + std::to_string(c[2]) + " of level " + std::to_string(level);
 }
 
-std::string tileText(const TileRef& tile) { return "tile " + std::to_string(tile.index) + " of " + chunkText(tile.chunk->level, tile.chunk->cell); }
+std::string tileText(const TileRef& tile) { return "tile " + std::to_string(tile.name().tile) + " of " + chunkText(tile.chunk->level, tile.chunk->cell); }
 
 uint32_t Chunk::firstTileOf(uint32_t child) const {
   uint64_t tile = first[level - 1].tiles;
@@ -120,12 +120,13 @@ Result<ChunkPtr> decodeChunk(const WorldInfo& world, const ChunkPtr& parent, uin
   if (head.magic != kChunkMagic || head.level != c.level) return bad("is the record of another chunk");
   const bool geometry = head.geometry != 0;
   if (head.tiles < 1 || head.tiles > kMaxChunkTiles || head.nodes < head.tiles || head.nodes > uint64_t{kTileNodes} * head.tiles ||
-      head.geometry > 1 || (geometry && c.level != 0) || (head.children == 0) != (c.level == 0) || head.children > 8)
+      head.geometry > 1 || (geometry && c.level != 0) || (head.children == 0) != (c.level == 0) || head.first_number > kMaxChunkTiles - head.tiles)
     return bad("has numbers of tiles, nodes or children that cannot be");
   const uint64_t expected = kChunkHeaderBytes + uint64_t{kTileRecordBytes} * head.tiles + (geometry ? uint64_t{kGeometryRecordBytes} * head.tiles : 0) +
                             (top ? 0 : head.nodes) + head.children * (kChildRecordBytes + kLevelCountBytes * uint64_t{c.level});
   if (expected != raw.size()) return bad("has " + std::to_string(raw.size()) + " bytes instead of " + std::to_string(expected));
 
+  c.first_number = head.first_number;
   c.tiles.resize(head.tiles);
   std::vector<TileRecord> records(head.tiles);
   uint32_t nodes = 0;
@@ -170,7 +171,6 @@ Result<ChunkPtr> decodeChunk(const WorldInfo& world, const ChunkPtr& parent, uin
   }
   std::vector<LevelCount> counts(c.level + 1);
   counts[c.level] = {head.tiles, head.nodes};
-  uint32_t octants = 0;
   for (uint32_t k = 0; k < head.children; ++k) {
     ChildChunk& child = c.children.emplace_back();
     uint8_t octant = 0;
@@ -178,8 +178,7 @@ Result<ChunkPtr> decodeChunk(const WorldInfo& world, const ChunkPtr& parent, uin
     ExtentRecord::fields(r, child.record);
     r.box(child.bounds);
     readCounts(r, c.level, child.counts);
-    if (octant > 7 || (octants >> octant & 1) != 0) return bad("has two children in one place");
-    octants |= 1u << octant;
+    if (octant > 7) return bad("has a child outside it");
     for (size_t a = 0; a < 3; ++a) child.cell[a] = static_cast<int32_t>(static_cast<uint32_t>(c.cell[a]) * 2 + (octant >> a & 1u));
     child.bounds = plusCorner(child.bounds, corner);
     if (const char* fault = faultOf(child)) return bad(fault);
@@ -217,6 +216,7 @@ std::vector<std::byte> encodeChunk(const WorldInfo& world, const Chunk& c) {
   head.children = static_cast<uint16_t>(c.children.size());
   head.tiles = static_cast<uint32_t>(c.tiles.size());
   for (const TileInfo& t : c.tiles) head.nodes += t.nodes;
+  head.first_number = c.first_number;
   ChunkHeader::fields(w, head);
   for (const TileInfo& t : c.tiles) {
     TileRecord x;
@@ -276,10 +276,6 @@ Result<ChunkPtr> decodeRoot(std::span<const LevelInfo> levels, std::span<const s
     for (uint32_t l = 0; l < c.level; ++l) counts[l] += child.counts[l];
   }
   if (!r.ok()) return bad("are cut off");
-  std::vector<ChunkCell> cells;
-  for (const ChildChunk& child : c.children) cells.push_back(child.cell);
-  std::ranges::sort(cells);
-  if (std::ranges::adjacent_find(cells) != cells.end()) return bad("are two in one place");
   for (uint32_t l = 0; l < c.level; ++l)
     if (counts[l] != LevelCount{levels[l].tiles, levels[l].nodes}) return bad("hold other tiles and nodes of level " + std::to_string(l) + " than the manifest says");
   return ChunkPtr(std::move(root));

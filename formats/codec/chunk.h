@@ -37,6 +37,7 @@ using ChunkPtr = std::shared_ptr<const Chunk>;
 struct Chunk : std::enable_shared_from_this<Chunk> {
   uint32_t level = 0;
   ChunkCell cell{};
+  uint32_t first_number = 0;           // of tiles: those of one cell may stand in several records, where a coarse cell has more nodes than a tile
   std::vector<TileInfo> tiles;
   std::vector<uint8_t> parent_index;   // by node, in the order of tiles: index of its parent within the tile's parent tile. None at the coarsest level.
   std::vector<GeometryInfo> geometry;  // of level 0, by tile; none without drawing geometry
@@ -63,7 +64,7 @@ struct TileRef {
   uint32_t index = 0;  // in chunk->tiles
   const TileInfo& info() const { return chunk->tiles[index]; }
   TileId id() const { return info().id; }
-  TileName name() const { return {chunk->cell, index}; }
+  TileName name() const { return {chunk->cell, chunk->first_number + index}; }
   // Not of the coarsest level.
   TileRef parent() const { return {chunk->parent, info().parent_tile - chunk->parent->firstTile()}; }
   // By node of the tile: index of its parent in parent(). Not of the coarsest level.

@@ -83,9 +83,10 @@ struct ChunkHeader {
   uint16_t children = 0;
   uint32_t tiles = 0;
   uint32_t nodes = 0;
+  uint32_t first_number = 0;   // of the first tile
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {
-    io.u32(s.magic), io.u8(s.level), io.u8(s.geometry), io.u16(s.children), io.u32(s.tiles), io.u32(s.nodes), io.reserved(4);
+    io.u32(s.magic), io.u8(s.level), io.u8(s.geometry), io.u16(s.children), io.u32(s.tiles), io.u32(s.nodes), io.u32(s.first_number);
   }
 };
 

@@ -143,24 +143,37 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try 
   return Error{ErrorCode::kIo, state_->path, "", "out of memory for a chunk's index", "close other programs"};
 }
 
-Result<ChunkPtr> World::chunkAt(uint32_t level, const ChunkCell& cell, const ChunkPtr& from) const {
-  const auto ancestor = [&](uint32_t l) {
-    ChunkCell c = cell;
-    for (size_t a = 0; a < 3; ++a) c[a] >>= l - level;
-    return c;
-  };
-  ChunkPtr at = from;
-  while (at->parent && at->cell != ancestor(at->level)) at = at->parent;
-  while (at->level > level) {
-    const ChunkCell next = ancestor(at->level - 1);
-    const auto found = std::ranges::find(at->children, next, &ChildChunk::cell);
-    if (found == at->children.end())
-      return Error{ErrorCode::kInvalidFile, state_->path, chunkText(level, cell), "is named but not there", kRemedy};
-    auto below = child(at, static_cast<uint32_t>(found - at->children.begin()));
-    if (!below) return below.error();
-    at = std::move(*below);
+namespace {
+
+// The cell of `level` that a chunk of a finer level lies in.
+ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
+  for (int32_t& a : cell) a >>= level - from;
+  return cell;
+}
+
+}  // namespace
+
+Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
+  // From the lowest chunk that covers the place up: a cell may have several records.
+  for (ChunkPtr at = from;; at = at->parent) {
+    if (at->parent && at->cell != ancestorOf(name.chunk, level, at->level)) continue;
+    auto found = search(at, level, name);
+    if (!found || *found || !at->parent) return found;
   }
-  return at;
+}
+
+// Below a chunk that covers the place; null: it is not there.
+Result<ChunkPtr> World::search(const ChunkPtr& at, uint32_t level, const TileName& name) const {
+  if (at->level == level) return name.tile >= at->first_number && name.tile - at->first_number < at->tiles.size() ? at : ChunkPtr();
+  const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
+  for (uint32_t k = 0; k < at->children.size(); ++k) {
+    if (at->children[k].cell != next) continue;
+    auto below = child(at, k);
+    if (!below) return below.error();
+    auto found = search(*below, level, name);
+    if (!found || *found) return found;
+  }
+  return ChunkPtr();
 }
 
 Result<TileRef> World::tile(TileId id) const {
@@ -199,11 +212,11 @@ Result<ChunkPtr> World::chunkWith(uint32_t level, uint64_t LevelCount::*what, ui
 Result<TileRef> World::tile(uint32_t level, const TileName& name) const {
   const auto none = [&](const std::string& what) { return Error{ErrorCode::kUsage, state_->path, "", what, "ffinspect locate names what is at a point"}; };
   if (level >= levels().size()) return none("has no level " + std::to_string(level));
-  auto chunk = chunkAt(level, name.chunk, root());
-  if (!chunk && chunk.error().message == "is named but not there") return none("has no " + chunkText(level, name.chunk));
+  auto chunk = chunkOf(level, name, root());
   if (!chunk) return chunk.error();
-  if (name.tile >= (*chunk)->tiles.size()) return none(chunkText(level, name.chunk) + " has " + std::to_string((*chunk)->tiles.size()) + " tiles");
-  return TileRef{std::move(*chunk), name.tile};
+  if (!*chunk) return none("has no tile " + std::to_string(name.tile) + " of " + chunkText(level, name.chunk));
+  const uint32_t index = name.tile - (*chunk)->first_number;
+  return TileRef{std::move(*chunk), index};
 }
 
 Result<World::Tiles> World::childTiles(const TileRef& tile) const {
@@ -237,14 +250,14 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
   for (size_t b = 0; b < names.size(); ++b) {
     ChunkCell cell;
     for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
-    if (!chunk || chunk->cell != cell) {
-      auto found = chunkAt(tile.chunk->level, cell, chunk ? chunk : tile.chunk);
-      if (!found && found.error().code == ErrorCode::kInvalidFile && found.error().place == chunkText(tile.chunk->level, cell)) return bad(b, "names a chunk that is not there");
+    const bool here = chunk && chunk->cell == cell && names[b].tile >= chunk->first_number && names[b].tile - chunk->first_number < chunk->tiles.size();
+    if (!here) {
+      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, chunk ? chunk : tile.chunk);
       if (!found) return found.error();
+      if (!*found) return bad(b, "names a tile that is not there");
       chunk = std::move(*found);
     }
-    if (names[b].tile >= chunk->tiles.size()) return bad(b, "names a tile that its chunk does not have");
-    const TileInfo& partner = chunk->tiles[names[b].tile];
+    const TileInfo& partner = chunk->tiles[names[b].tile - chunk->first_number];
     if (names[b].columns > partner.nodes) return bad(b, "has a column outside the partner tile");
     if (b > 0 && partner.id.tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
     out.blocks[b].partner_tile = partner.id.tile;

@@ -43,8 +43,8 @@ class World {
   const ChunkPtr& root() const;
   // The child number `child` of a chunk; the same object for all who hold it at one time.
   Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child) const;
-  // The chunk of a cell, found from any chunk of the same level or the root; kInvalidFile where nothing is there.
-  Result<ChunkPtr> chunkAt(uint32_t level, const ChunkCell& cell, const ChunkPtr& from) const;
+  // The chunk that holds a tile, found from any chunk of the same level or the root; null where nothing has that name.
+  Result<ChunkPtr> chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const;
   // By number. kUsage: there is no such tile.
   Result<TileRef> tile(TileId id) const;
   // kUsage: there is no such tile.
@@ -76,6 +76,7 @@ class World {
  private:
   struct State;
   explicit World(std::unique_ptr<State> state);
+  Result<ChunkPtr> search(const ChunkPtr& at, uint32_t level, const TileName& name) const;
   Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const;
   std::unique_ptr<State> state_;
 };

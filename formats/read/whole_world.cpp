@@ -26,8 +26,10 @@ Result<void> WholeWorld::readChunks() {
   children_.resize(n);
   std::vector<ChunkPtr> above{root()};
   for (size_t l = n; l-- > 0;) {
+    uint64_t records = 0;
     for (const ChunkPtr& chunk : above)
       for (uint32_t k = 0; k < chunk->children.size(); ++k) {
+        records += chunk->children[k].record.stored_bytes;
         auto below = child(chunk, k);
         if (!below) return below.error();
         tiles_[l].insert(tiles_[l].end(), (*below)->tiles.begin(), (*below)->tiles.end());
@@ -48,8 +50,7 @@ Result<void> WholeWorld::readChunks() {
       sum.entries += tile.entries;
       sum.stored_bytes += tile.strip.stored_bytes;
     }
-    for (const ChunkPtr& chunk : chunks_[l])
-      sum.stored_bytes += chunk->parent->children[static_cast<size_t>(std::ranges::find(chunk->parent->children, chunk->cell, &ChildChunk::cell) - chunk->parent->children.begin())].record.stored_bytes;
+    sum.stored_bytes += records;
     if (sum.entries != levels()[l].entries || sum.stored_bytes != levels()[l].stored_bytes)
       return Error{ErrorCode::kInvalidFile, path(), "level " + std::to_string(l), "the index does not hold what the manifest promises", "restore the world's files from one copy, or bake again"};
   }

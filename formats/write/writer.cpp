@@ -3,6 +3,7 @@
 #include <zstd.h>
 
 #include <algorithm>
+#include <map>
 
 #include "formats/codec/checksum.h"
 #include "formats/codec/chunk.h"
@@ -22,6 +23,7 @@ struct WorldWriter::State {
   std::vector<LevelInfo> levels;                     // sized by the first strip, which is of the coarsest level
   std::vector<std::vector<TileInfo>> tiles;          // by level
   std::vector<std::vector<TileName>> names;          // likewise
+  std::map<ChunkCell, uint32_t> numbers;             // of tiles that a chunk of the present level has so far
   std::vector<GeometryInfo> geometry;                // by level-0 tile
   uint32_t level = 0;                                // of the last strip
   uint32_t quanta = 0;                               // samples of the row that has most
@@ -132,15 +134,17 @@ Result<void> WorldWriter::addStrip(EncodedStrip strip) {
     s.tiles.resize(s.level + 1);
     s.names.resize(s.level + 1);
   }
-  if (info.id.level + 1 == s.level && s.levels[s.level].tiles > 0) s.level = info.id.level;
+  if (info.id.level + 1 == s.level && s.levels[s.level].tiles > 0) {
+    s.level = info.id.level;
+    s.numbers.clear();
+  }
   if (info.id.level != s.level || info.id.tile != s.levels[s.level].tiles)
     return misuse("strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) +
                   " comes out of order");
   LevelInfo& level = s.levels[s.level];
   if (info.first_node != level.nodes) return misuse("first_node is not the number of nodes before the tile");
   std::vector<TileName>& names = s.names[s.level];
-  const bool same_chunk = !names.empty() && names.back().chunk == strip.name.chunk;
-  if (strip.name.tile != (same_chunk ? names.back().tile + 1 : 0) || strip.name.tile >= kMaxChunkTiles)
+  if (strip.name.tile != s.numbers[strip.name.chunk]++ || strip.name.tile >= kMaxChunkTiles)
     return misuse("strip " + std::to_string(info.id.level) + ":" + std::to_string(info.id.tile) + " is not the next tile of its chunk, or the chunk is full");
   auto extent = s.addTo(kKindRows, strip.bytes, info.strip.raw_bytes);
   if (!extent) return extent.error();
@@ -224,10 +228,12 @@ Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::mak
     for (size_t t = 0; t < tiles[l].size(); ++t) {
       const TileInfo& tile = tiles[l][t];
       const size_t above = top ? 0 : chunk_of_above[tile.parent_tile];
-      if (names[l][t].tile == 0) {
+      // Tiles of one cell that lie beneath two chunks, or apart in the order of tiles, have a record each.
+      if (t == 0 || names[l][t].chunk != names[l][t - 1].chunk || (!top && chunk_of_above[tiles[l][t - 1].parent_tile] != above)) {
         auto chunk = std::make_shared<Chunk>();
         chunk->level = static_cast<uint32_t>(l);
         chunk->cell = names[l][t].chunk;
+        chunk->first_number = names[l][t].tile;
         chunk->parent = top ? root : chunks[l + 1][above];
         chunk->first.resize(l + 1);
         chunk->first[l] = {tile.id.tile, tile.first_node};

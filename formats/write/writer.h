@@ -37,7 +37,7 @@ class WorldWriter {
   WorldWriter& operator=(WorldWriter&&) noexcept;
   ~WorldWriter();
 
-  // Order: levels from the coarsest to 0, tiles ascending from 0 within a level. The tiles of a chunk follow each other, numbered from 0.
+  // Order: levels from the coarsest to 0, tiles ascending from 0 within a level. The tiles of a chunk are numbered from 0 in this order; they need not follow each other.
   Result<void> addStrip(EncodedStrip strip);
   // Level-0 tiles, ascending, after all strips; every tile once or none at all. Positions are quantised to 16 bits over the tile's
   // bounds and triangles are kept in order. world: cell_m alone is looked at.

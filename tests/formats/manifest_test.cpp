@@ -167,10 +167,6 @@ TEST(ManifestRules, TheRootHoldsChunksThatCanBe) {
   refused("cut off", [](auto& b) { b.pop_back(); });
   refused("cut off", [](auto& b) { b.push_back(std::byte{0}); });
   refused("other tiles and nodes", [](auto& b) { b.clear(); });
-  refused("in one place", [](auto& b) {
-    const auto same = b;
-    b.insert(b.end(), same.begin(), same.end());
-  });
   refused("impossible size", [](auto& b) { storeLittle(b.data() + 24, uint32_t{0}); });
   refused("impossible size", [](auto& b) { storeLittle(b.data() + 28, uint32_t{kMaxChunkRawBytes + 1}); });
   refused("bounds", [](auto& b) { storeLittle(b.data() + 40, 0x7fc00000u); });

@@ -183,19 +183,20 @@ std::vector<std::vector<TileName>> nameTiles(const RandomWorld& w) {
   std::vector<std::vector<TileName>> names(w.strips.size());
   for (size_t level = w.strips.size(); level-- > 0;) {
     const bool top = level + 1 == w.strips.size();
+    std::map<ChunkCell, uint32_t> numbers;
     for (size_t t = 0; t < w.strips[level].size(); ++t) {
       TileName name;
       if (top) {
-        name.chunk = {static_cast<int32_t>(t / 2) - 1, 0, 1};
+        name.chunk = {static_cast<int32_t>(t / 4) - 1, 0, 1};
       } else {
         const uint32_t first = w.strips[level][t].first_node, node = first < w.parents[level].size() ? w.parents[level][first] : 0;
         size_t parent = 0;
         while (parent + 1 < w.strips[level + 1].size() && w.strips[level + 1][parent + 1].first_node <= node) ++parent;
         const TileName& above = names[level + 1][parent];
-        const uint32_t octant = std::min(7u, above.tile / 4);
+        const uint32_t octant = above.tile % 2;  // comes back: a chunk in several records
         for (size_t a = 0; a < 3; ++a) name.chunk[a] = 2 * above.chunk[a] + static_cast<int32_t>(octant >> a & 1);
       }
-      if (t > 0 && names[level].back().chunk == name.chunk) name.tile = names[level].back().tile + 1;
+      name.tile = numbers[name.chunk]++;
       names[level].push_back(name);
     }
   }

@@ -29,7 +29,7 @@ struct RandomWorld {
   std::vector<TileGeometry> geometry;
 };
 
-// Names that fit the tree of tiles, by level and tile: two tiles of the coarsest level a chunk, a quarter of a chunk's child tiles a child.
+// Names that fit the tree of tiles, by level and tile: four tiles of the coarsest level a chunk, child tiles in two octants by turns.
 std::vector<std::vector<TileName>> nameTiles(const RandomWorld& world);
 
 RandomWorld makeRandomWorld(const RandomWorldSettings& settings);

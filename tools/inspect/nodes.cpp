@@ -199,7 +199,7 @@ Result<void> inspectTile(const World& world, uint32_t level, const TileName& nam
       nodes.back()["lamps"] = lampsJson(world, lampsOf(*strip, i));
     }
     for (size_t b = 0; b < strip->blocks.size(); ++b)
-      blocks.push_back({{"chunk", read->chunks[b]->cell}, {"tile", strip->blocks[b].partner_tile - read->chunks[b]->firstTile()}, {"entries", strip->blocks[b].entries}});
+      blocks.push_back({{"chunk", read->chunks[b]->cell}, {"tile", strip->blocks[b].partner_tile - read->chunks[b]->firstTile() + read->chunks[b]->first_number}, {"entries", strip->blocks[b].entries}});
     fmt::print(out.to, "{}\n",
                json{{"level", level},
                     {"chunk", name.chunk},
