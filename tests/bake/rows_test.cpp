@@ -186,6 +186,30 @@ std::vector<Patch> townPatches(int32_t side) {
   return patches;
 }
 
+// 300 lamp groups everywhere: at the coarsest level one cell has more nodes than a tile, so that chunks far below come once for each of its tiles.
+TEST(Pyramid, NamesAreUniqueWhereACoarseCellHasMoreNodesThanATile) {
+  std::vector<Patch> patches;
+  for (int32_t x = 0; x < 128; ++x)
+    for (int32_t z = 0; z < 128; ++z) {
+      Patch p;
+      p.cell = {x, 0, z};
+      p.key = hilbertKey(p.cell);
+      p.lamp_group = static_cast<uint16_t>((x * 37 + z) % 300);
+      patches.push_back(p);
+    }
+  const Hierarchy h = makeHierarchy(patches, std::vector<float>(patches.size(), 0.5f));
+  size_t came_back = 0;
+  for (uint32_t l = 0; l < h.levels(); ++l) {
+    std::set<std::pair<formats::ChunkCell, uint32_t>> names;
+    for (size_t t = 0; t < h.names[l].size(); ++t) {
+      const formats::TileName& name = h.names[l][t];
+      EXPECT_TRUE(names.insert({name.chunk, name.tile}).second) << "level " << l << ", tile " << t;
+      came_back += name.tile > 0 && t > 0 && h.names[l][t - 1].chunk != name.chunk;
+    }
+  }
+  EXPECT_GT(came_back, 0u);
+}
+
 TEST(Pyramid, ATileIsAtMostSixteenCellsWideWhateverTheWorldAndHoldsAllClassesOfItsPlace) {
   for (const int32_t side : {96, 400}) {
     const std::vector<Patch> patches = townPatches(side);
