@@ -1,7 +1,5 @@
 #include "formats/write/writer.h"
 
-#include <zstd.h>
-
 #include <algorithm>
 #include <map>
 
@@ -9,6 +7,7 @@
 #include "formats/codec/chunk.h"
 #include "formats/codec/geometry.h"
 #include "formats/codec/manifest.h"
+#include "formats/write/encode.h"
 #include "formats/write/shard_writer.h"
 
 namespace ff::formats {
@@ -39,47 +38,7 @@ struct WorldWriter::State {
 
 namespace {
 
-constexpr int kZstdLevel = 3;
-
 Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
-
-Result<std::vector<std::byte>> compress(std::span<const std::byte> in) {
-  std::vector<std::byte> out(ZSTD_compressBound(in.size()));
-  const size_t n = ZSTD_compress(out.data(), out.size(), in.data(), in.size(), kZstdLevel);
-  if (ZSTD_isError(n)) return Error{ErrorCode::kIo, "", "", "out of memory for compression", "close other programs"};
-  out.resize(n);
-  return out;
-}
-
-struct SectionBytes {
-  uint32_t kind = 0;
-  uint64_t raw_bytes = 0;
-  std::vector<std::byte> bytes;
-};
-
-std::vector<std::byte> manifestBytes(const std::vector<SectionBytes>& sections) {
-  ByteWriter table;
-  uint64_t offset = kManifestHeaderBytes + sections.size() * kSectionRecordBytes;
-  for (const SectionBytes& s : sections) {
-    SectionRecord r;
-    r.kind = s.kind;
-    r.offset = offset;
-    r.stored_bytes = s.bytes.size();
-    r.raw_bytes = s.raw_bytes;
-    r.checksum = hashBytes(s.bytes);
-    SectionRecord::fields(table, r);
-    offset += s.bytes.size();
-  }
-  ManifestHeader header;
-  header.sections = static_cast<uint32_t>(sections.size());
-  header.file_bytes = offset;
-  header.table_checksum = hashBytes(table.data());
-  std::vector<std::byte> out = recordBytes(header);
-  storeLittle(out.data() + kManifestHeaderBytes - 8, hashBytes(std::span(out).first(kManifestHeaderBytes - 8)));
-  out.insert(out.end(), table.data().begin(), table.data().end());
-  for (const SectionBytes& s : sections) out.insert(out.end(), s.bytes.begin(), s.bytes.end());
-  return out;
-}
 
 }  // namespace
 
@@ -242,7 +201,6 @@ Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::mak
         chunks[l].push_back(std::move(chunk));
       }
       Chunk& chunk = *chunks[l].back();
-      if (!top && chunk.parent != chunks[l + 1][above]) return misuse("the tiles of " + chunkText(chunk.level, chunk.cell) + " have parents in two chunks");
       chunk.tiles.push_back(tile);
       if (l == 0 && !geometry.empty()) chunk.geometry.push_back(geometry[t]);
       if (!top)
@@ -278,7 +236,7 @@ Result<std::vector<ChildChunk>> WorldWriter::State::writeChunks(const WorldInfo&
       }
       const std::vector<std::byte> raw = encodeChunk(info, *chunk);
       if (raw.size() > kMaxChunkRawBytes) return misuse(chunkText(chunk->level, chunk->cell) + " is too large");
-      auto stored = compress(raw);
+      auto stored = compressChunk(raw);
       if (!stored) return stored.error();
       auto extent = addTo(kKindIndex, *stored, static_cast<uint32_t>(raw.size()));
       if (!extent) return extent.error();
@@ -313,7 +271,7 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
     if (auto ok = s.closeShard(kind); !ok) return ok;
 
   std::vector<SectionBytes> sections;
-  const auto addSection = [&](uint32_t kind, std::vector<std::byte> bytes) { sections.push_back({kind, bytes.size(), std::move(bytes)}); };
+  const auto addSection = [&](uint32_t kind, std::vector<std::byte> bytes) { sections.push_back({kind, std::move(bytes)}); };
   ByteWriter info_bytes, level_bytes, shard_bytes;
   WorldInfoRecord::fields(info_bytes, info);
   addSection(kSectionInfo, std::move(info_bytes.data()));
@@ -336,7 +294,7 @@ Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vec
     addSection(kSectionLights, std::move(light_bytes.data()));
   }
   // What we are about to promise must be readable: the same checks as the reader's, before any name changes.
-  const std::vector<std::byte> manifest = manifestBytes(sections);
+  const std::vector<std::byte> manifest = encodeManifest(sections);
   if (auto parsed = parseManifest(manifest); !parsed) return parsed.error();
 
   for (const auto& shard : s.shards)

@@ -1,13 +1,11 @@
 #include "tests/support/simulated_world.h"
 
-#include <zstd.h>
-
 #include <cmath>
 #include <map>
 #include <random>
 
-#include "formats/codec/checksum.h"
 #include "formats/codec/chunk.h"
+#include "formats/write/encode.h"
 #include "formats/write/shard_writer.h"
 #include "formats/write/writer.h"
 
@@ -63,25 +61,6 @@ Strip stripOf(uint32_t level, uint32_t tile, const Box& bounds, bool top, std::m
     }
   }
   return strip;
-}
-
-std::vector<std::byte> sectionBytes(std::span<const std::pair<uint32_t, std::vector<std::byte>>> sections) {
-  ByteWriter table;
-  uint64_t offset = kManifestHeaderBytes + sections.size() * kSectionRecordBytes;
-  for (const auto& [kind, bytes] : sections) {
-    const SectionRecord record{kind, offset, bytes.size(), bytes.size(), hashBytes(bytes)};
-    SectionRecord::fields(table, record);
-    offset += bytes.size();
-  }
-  ManifestHeader header;
-  header.sections = static_cast<uint32_t>(sections.size());
-  header.file_bytes = offset;
-  header.table_checksum = hashBytes(table.data());
-  std::vector<std::byte> out = recordBytes(header);
-  storeLittle(out.data() + kManifestHeaderBytes - 8, hashBytes(std::span(out).first(kManifestHeaderBytes - 8)));
-  out.insert(out.end(), table.data().begin(), table.data().end());
-  for (const auto& section : sections) out.insert(out.end(), section.second.begin(), section.second.end());
-  return out;
 }
 
 }  // namespace
@@ -153,13 +132,13 @@ Result<void> writeSimulatedWorld(const std::string& path, uint32_t levels) {
     for (uint32_t q = 0; q < (top ? 1 : kQuadrants); ++q) {
       for (uint32_t t = 0; t < kTiles && !top; ++t) chunk.tiles[t].parent_tile = q * kQuadrants + t / kQuadrants;
       const std::vector<std::byte> raw = encodeChunk(info, chunk);
-      std::vector<std::byte> stored(ZSTD_compressBound(raw.size()));
-      stored.resize(ZSTD_compress(stored.data(), stored.size(), raw.data(), raw.size(), 3));
-      auto extent = (*index)->add(stored, static_cast<uint32_t>(raw.size()));
+      auto stored = compressChunk(raw);
+      if (!stored) return stored.error();
+      auto extent = (*index)->add(*stored, static_cast<uint32_t>(raw.size()));
       if (!extent) return extent.error();
       self.record = *extent;
       below.push_back(self);
-      records += stored.size() * (top ? 1 : chunks / kQuadrants);
+      records += stored->size() * (top ? 1 : chunks / kQuadrants);
     }
     totals[level] = {chunks * kTiles * kNodes, chunks * kTiles, chunks * entries, chunks * bytes + records};
     info.bounds.add(self.bounds);
@@ -172,11 +151,11 @@ Result<void> writeSimulatedWorld(const std::string& path, uint32_t levels) {
   WorldInfoRecord::fields(info_bytes, info);
   for (const LevelRecord& level : totals) LevelRecord::fields(level_bytes, level);
   for (const auto* shard : {&*rows, &*index}) ShardRecord::fields(shard_bytes, (*shard)->record());
-  const std::pair<uint32_t, std::vector<std::byte>> sections[] = {{kSectionInfo, info_bytes.data()},
-                                                                  {kSectionLevels, level_bytes.data()},
-                                                                  {kSectionShards, shard_bytes.data()},
-                                                                  {kSectionRoot, encodeRoot(below)}};
-  return writeWholeFile(*storage, path, sectionBytes(sections));
+  const SectionBytes sections[] = {{kSectionInfo, info_bytes.data()},
+                                   {kSectionLevels, level_bytes.data()},
+                                   {kSectionShards, shard_bytes.data()},
+                                   {kSectionRoot, encodeRoot(below)}};
+  return writeWholeFile(*storage, path, encodeManifest(sections));
 }
 
 }  // namespace ff::formats
