@@ -311,10 +311,11 @@ TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
   const auto streamer = make({.radius_m = 6, .hysteresis = 1.0f, .queue_depth = 4}, std::move(source));
   held->hold(true);
   EXPECT_FALSE(streamer->update({5, 1, 5}, {}));  // would hang here if it waited
-  while (streamer->stats().pending_tiles <= 4) streamer->update({5, 1, 5}, {});  // the index comes first, a level at a time
-  // Another thread starts the reads, and looks at the queue.
-  while (held->maxWaiting() < 4) std::this_thread::yield();
-  while (streamer->stats().cancelled == 0) streamer->update({60, 1, 60}, {});
+  // The index comes first, a level at a time; another thread starts the reads.
+  while (held->maxWaiting() < 4) streamer->update({5, 1, 5}, {});
+  // To and fro until that thread has seen a queue for one place, and then the next one for the other.
+  while (streamer->stats().cancelled == 0)
+    for (const float x : {5.0f, 60.0f}) streamer->update({x, 1, x}, {});
   EXPECT_EQ(held->maxWaiting(), 4u);
   held->hold(false);
   EXPECT_EQ(settledAt(*streamer, {60, 1, 60}), wantedByDefinition({60, 1, 60}, 6, 1.6f));
