@@ -48,9 +48,8 @@ struct TileId {
 
 inline constexpr float kMaxEmission = 1e12f;  // W/m2; the sun's own surface emits 6.3e7
 
-// A patch (level 0) or a cluster of nodes of the level below. Siblings (nodes with one parent) are consecutive and lie in one tile. Tiles form a
-// tree: the parents of a tile's nodes lie in one tile, and tiles of a level are in the order of these. Within a tile parents ascend,
-// so that nodes of a tile with one ancestor are consecutive.
+// A patch (level 0) or a cluster of nodes of the level below. Siblings (nodes with one parent) lie in one tile. Tiles form a
+// tree: the parents of a tile's nodes lie in one tile, and tiles of a level are in the order of these.
 struct Node {
   float area_m2 = 0;
   Vec3 centroid;             // m

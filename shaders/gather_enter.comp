@@ -11,7 +11,8 @@ layout(std430, binding = 1) readonly buffer Packed { uint packed_words[]; };
 layout(std430, binding = 2) buffer Albedo { vec4 albedo[]; };  // w: area, m2
 layout(std430, binding = 3) buffer Rows { GatherRow rows[]; };
 layout(std430, binding = 4) buffer Parents { uint parents[]; };
-layout(std430, binding = 5) buffer Radiosity { vec4 radiosity[]; };
+layout(std430, binding = 5) buffer Siblings { uint siblings[]; };
+layout(std430, binding = 6) buffer Radiosity { vec4 radiosity[]; };
 
 void main() {
   const TileJob job = jobs[push.first + gl_WorkGroupID.x / push.groups];
@@ -26,6 +27,7 @@ void main() {
   rows[slot] = GatherRow(first, 0u, job.segment, uintBitsToFloat(packed_words[at + 4u]));
   const uint parent = packed_words[at + 5u];
   parents[slot] = parent;
+  siblings[slot] = packed_words[at + 6u];
   if (job.start == kStartKept) return;
   radiosity[slot] = job.start == kStartParent && parent != kTopSlot ? radiosity[parent] : vec4(0);
 }

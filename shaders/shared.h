@@ -27,7 +27,7 @@ FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / sub
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
 FF_CONST uint kPageNodes = 256u;        // slots in a page of the page table, two to a word
-FF_CONST uint kNodeWords = 6u;          // of a packed tile: albedo r, g, b, area, 1 / Q, parent's slot
+FF_CONST uint kNodeWords = 7u;          // of a packed tile: albedo r, g, b, area, 1 / Q, parent's slot, next sibling's
 FF_CONST uint kTopSlot = 0xffffffffu;   // for a parent's slot: there is none
 FF_CONST uint kFreeSlot = 0xfffffffeu;  // the slot itself is free
 FF_CONST uint kFree = 0u;               // kinds of slots
@@ -71,7 +71,7 @@ struct GatherPush {
 struct ChangePush {
   uint slots;
 };
-// Consecutive slots; those with one parent are neighbours, and none of their siblings is outside.
+// Consecutive slots. Those with one parent name each other in a ring (LocalMatrix::next_sibling), all within the span.
 struct SlotSpan {
   uint first_slot;
   uint slots;

@@ -6,6 +6,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <compare>
+#include <functional>
 #include <map>
 #include <numeric>
 #include <tuple>
@@ -32,6 +34,18 @@ size_t countClusters(std::span<const Patch> patches, std::span<const uint32_t> g
   return static_cast<size_t>(std::unique(clusters.begin(), clusters.end()) - clusters.begin());
 }
 
+// Kinds of what a node sees: the lowest part of SortKey::group.
+constexpr uint32_t kSeen = kOpennesses * 2;
+
+// A node's place among the others of its tile.
+struct Place {
+  uint32_t faces;  // lamp group and orientation
+  uint64_t key;    // of its cell
+  uint32_t among;  // those of its cell that face the same way: a patch's number, what a cluster sees
+  uint32_t node;   // in the order of clustering
+  friend auto operator<=>(const Place&, const Place&) = default;
+};
+
 // The children of one node, or a node of the coarsest level: what a tile takes whole.
 struct Family {
   uint64_t cell;          // Hilbert key of the cell that they share
@@ -42,9 +56,9 @@ struct Family {
 // Cuts families into tiles: see pyramid.h.
 class TileCutter {
  public:
-  // family_log: edge of a family's cell, in cells of the level, as a power of 2.
-  TileCutter(int family_log, std::vector<uint32_t>& order, std::vector<uint32_t>& tile_start)
-      : family_log_(family_log), order_(order), tile_start_(tile_start) {}
+  // family_log: edge of a family's cell, in cells of the level, as a power of 2. place_of: of a node, by its number in the order of clustering.
+  TileCutter(int family_log, std::function<Place(uint32_t)> place_of, std::vector<uint32_t>& order, std::vector<uint32_t>& tile_start)
+      : family_log_(family_log), place_of_(std::move(place_of)), order_(order), tile_start_(tile_start) {}
 
   // The families below one tile, in any order. Appends their nodes, and where tiles end.
   void cut(std::span<Family> families) {
@@ -93,18 +107,20 @@ class TileCutter {
     close(families.subspan(open));
   }
 
-  // All classes of the place are one tile; in it nodes of a class are neighbours, as rows of one class are alike.
-  void close(std::span<Family> families) {
+  // All classes of the place are one tile.
+  void close(std::span<const Family> families) {
     if (families.empty()) return;
-    std::sort(families.begin(), families.end(), [](const Family& a, const Family& b) {
-      return std::tie(a.group, a.cell, a.first) < std::tie(b.group, b.cell, b.first);
-    });
+    places_.clear();
     for (const Family& f : families)
-      for (uint32_t i = 0; i < f.nodes; ++i) order_.push_back(f.first + i);
+      for (uint32_t i = 0; i < f.nodes; ++i) places_.push_back(place_of_(f.first + i));
+    std::sort(places_.begin(), places_.end());
+    for (const Place& place : places_) order_.push_back(place.node);
     tile_start_.push_back(static_cast<uint32_t>(order_.size()));
   }
 
   int family_log_;
+  std::function<Place(uint32_t)> place_of_;
+  std::vector<Place> places_;
   std::vector<uint32_t>& order_;
   std::vector<uint32_t>& tile_start_;
 };
@@ -124,7 +140,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
     const uint32_t open = openness(static_cast<double>(sky_fraction[i]), narrow.empty() ? 0 : narrow[i]);
     const uint32_t lamp = patches[i].emits() ? 1u + patches[i].lamp_group : 0u;
     const uint32_t lit = lamp_lit.empty() ? 0u : lamp_lit[i];
-    group[i] = ((lamp * kOrientations + patches[i].orientation) * kOpennesses + open) * 2 + lit;
+    group[i] = (lamp * kOrientations + patches[i].orientation) * kSeen + open * 2 + lit;
   }
   int top = 0;
   size_t count = n;
@@ -178,7 +194,11 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
     h.nodes[l] = static_cast<uint32_t>(own.first.size());
     h.tile_start[l].assign(1, 0);
     const int family_log = level == top ? 0 : 1;
-    TileCutter cutter(family_log, now, h.tile_start[l]);
+    const auto placeOf = [&](uint32_t node) {
+      const SortKey& key = order[own.first[node]];
+      return Place{key.group / kSeen, hilbertAncestor(key.key, level), level == 0 ? key.patch : key.group % kSeen, node};
+    };
+    TileCutter cutter(family_log, placeOf, now, h.tile_start[l]);
     const auto familyOf = [&](uint32_t first, uint32_t nodes) {
       const SortKey& key = order[own.first[first]];
       return Family{hilbertAncestor(key.key, level + family_log), key.group, first, nodes};
@@ -231,20 +251,26 @@ std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierar
   return values;
 }
 
-std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, const Hierarchy& hierarchy, uint32_t level) {
+Children::Children(std::span<const uint32_t> parents, uint32_t nodes) : start_(nodes + 1, 0), child_(parents.size()) {
+  for (const uint32_t p : parents) ++start_[p + 1];
+  std::partial_sum(start_.begin(), start_.end(), start_.begin());
+  std::vector<uint32_t> next(start_.begin(), start_.end() - 1);
+  for (uint32_t i = 0; i < parents.size(); ++i) child_[next[parents[i]]++] = i;
+}
+
+std::vector<NodeValues> clusterValues(std::span<const NodeValues> below, const Hierarchy& hierarchy, uint32_t level) {
   std::vector<NodeValues> values(hierarchy.nodes[level]);
-  const auto& parents = hierarchy.parents[level - 1];
-  for (size_t first = 0; first < children.size();) {
-    size_t last = first;
+  const Children children(hierarchy.parents[level - 1], hierarchy.nodes[level]);
+  for (uint32_t n = 0; n < values.size(); ++n) {
     double area = 0, sums[12] = {};
-    NodeValues& v = values[parents[first]];
-    for (; last < children.size() && parents[last] == parents[first]; ++last) {
-      const formats::Node& c = children[last].node;
+    NodeValues& v = values[n];
+    for (const uint32_t child : children.of(n)) {
+      const formats::Node& c = below[child].node;
       const Vec3 fields[4] = {c.centroid, c.normal, c.albedo, c.emission};
       area += static_cast<double>(c.area_m2);
       for (int f = 0; f < 4; ++f)
         for (int a = 0; a < 3; ++a) sums[3 * f + a] += static_cast<double>(c.area_m2) * static_cast<double>(fields[f][a]);
-      v.bounds.add(children[last].bounds);
+      v.bounds.add(below[child].bounds);
     }
     const auto mean = [&](int f) {
       return Vec3{static_cast<float>(sums[3 * f] / area), static_cast<float>(sums[3 * f + 1] / area),
@@ -255,9 +281,8 @@ std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, cons
     v.node.normal = normalized(mean(1));
     v.node.albedo = mean(2);
     v.node.emission = mean(3);
-    v.node.lamp_group = children[first].node.lamp_group;
-    if (level + 1 < hierarchy.levels()) v.node.parent = hierarchy.parents[level][parents[first]];
-    first = last;
+    v.node.lamp_group = below[children.of(n)[0]].node.lamp_group;
+    if (level + 1 < hierarchy.levels()) v.node.parent = hierarchy.parents[level][n];
   }
   return values;
 }
@@ -275,11 +300,7 @@ void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradianc
 
 ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes)
     : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes), lamps_(nodes) {
-  std::vector<uint32_t> first(nodes), children(nodes, 0);
-  for (size_t i = parents.size(); i-- > 0;) {
-    first[parents[i]] = static_cast<uint32_t>(i);
-    ++children[parents[i]];
-  }
+  const Children children(parents, nodes);
   struct Scratch {
     std::vector<double> exchange;  // per node, zero between rows
     std::vector<uint8_t> seen;
@@ -295,7 +316,7 @@ ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uin
     for (auto n = static_cast<uint32_t>(c * kChunk); n < std::min<size_t>(nodes, (c + 1) * kChunk); ++n) {
       double area = 0, absorbed = 0;
       SkySums sky;
-      for (uint32_t i = first[n]; i < first[n] + children[n]; ++i) {
+      for (const uint32_t i : children.of(n)) {
         below.row(i, s.row);
         for (size_t k = 0; k < s.row.column.size(); ++k) {
           const uint32_t j = parents[s.row.column[k]];

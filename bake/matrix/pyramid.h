@@ -7,8 +7,10 @@
 // Tiles form a tree: the children of a tile's nodes fill tiles of their own. They are compact: a cube of cells is one tile, with all classes
 // in it, if it is at most 2^kTileEdgeLog cells of its level wide and has at most kTileNodes nodes; else it is cut into its eight, of
 // which neighbours along the Hilbert curve share a tile while they fit. So a tile's width is bounded whatever the world. Tiles of a
-// level are in the order of their parent tiles, then along the curve; nodes of a tile are sorted by (class, Hilbert key): those of one
-// class have similar rows, and those with one ancestor are neighbours.
+// level are in the order of their parent tiles, then along the curve; nodes of a tile are sorted by (lamp group, orientation, Hilbert key):
+// those that face one way have similar rows. What a node sees (its openness, whether lamps light it) has no part in the order of patches: a
+// shadow that an edit throws on a tile moves none of its patches, so that rows elsewhere name them as before. So siblings are near each other
+// in their tile, but others may stand between them.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -32,8 +34,7 @@ uint32_t openness(double sky_fraction, uint32_t narrow = 0);
 
 struct Hierarchy {
   std::vector<uint32_t> number;  // of patch p in level 0's order
-  // parents[l][i]: number of node i's parent at level l + 1; siblings are consecutive, and parents ascend within a tile. One vector per
-  // level but the last.
+  // parents[l][i]: number of node i's parent at level l + 1. One vector per level but the last.
   std::vector<std::vector<uint32_t>> parents;
   std::vector<uint32_t> nodes;   // per level
   // tile_start[l]: first node of each tile, then the number of nodes. Siblings never straddle a tile.
@@ -50,13 +51,24 @@ struct Hierarchy {
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
                         std::span<const uint8_t> narrow = {}, std::span<const uint8_t> lamp_lit = {});
 
+// The nodes of a level by parent, each parent's ascending.
+class Children {
+ public:
+  // parents: Hierarchy::parents of the level; nodes: of the level above.
+  Children(std::span<const uint32_t> parents, uint32_t nodes);
+  std::span<const uint32_t> of(uint32_t parent) const { return std::span(child_).subspan(start_[parent], start_[parent + 1] - start_[parent]); }
+
+ private:
+  std::vector<uint32_t> start_, child_;
+};
+
 // What a node carries beside its row, for all nodes of a level.
 struct NodeValues {
   formats::Node node;  // area, centroid, normal, albedo, emission, parent
   Box bounds;
 };
 std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierarchy& hierarchy);
-std::vector<NodeValues> clusterValues(std::span<const NodeValues> children, const Hierarchy& hierarchy, uint32_t level);
+std::vector<NodeValues> clusterValues(std::span<const NodeValues> below, const Hierarchy& hierarchy, uint32_t level);
 
 // Exchange areas of level `level` >= 1 from those of the level below, on all of TBB's threads. Memory: 8 bytes an entry.
 class ClusterExchange final : public ExchangeLevel {

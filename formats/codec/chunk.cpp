@@ -39,24 +39,23 @@ const char* faultOf(const ChildChunk& child) {
   return nullptr;
 }
 
-// Parents' numbers of children from the tiles' families: each node of a tile has one family, of children that follow each other in one
-// tile, in ascending order within that.
+// Each node of a parent tile has children, all in one tile.
 const char* checkFamilies(const Chunk& chunk, const Chunk& parent) {
-  std::array<bool, kTileNodes> taken{};
+  std::array<uint32_t, kTileNodes> child_tile{};  // by parent; counted from 1
   size_t t = 0;
   for (const TileInfo& above : parent.tiles) {
     if (above.end_child <= chunk.firstTile() || above.first_child >= chunk.firstTile() + chunk.tiles.size()) continue;
-    taken.fill(false);
+    child_tile.fill(0);
     uint32_t families = 0;
     for (uint32_t number = above.first_child; number < above.end_child; ++number, ++t) {
       if (t >= chunk.tiles.size() || chunk.tiles[t].id.tile != number) return "has other tiles than its parent says";
-      int last = -1;
+      const uint32_t own = number - above.first_child + 1;
       for (const uint8_t index : chunk.parentIndexOf(static_cast<uint32_t>(t))) {
-        if (index == last) continue;
-        if (index < last || index >= above.nodes || taken[index]) return "has nodes whose parents are not each once, and ascending in a tile";
-        taken[index] = true;
+        if (index >= above.nodes) return "has a node whose parent is not there";
+        if (child_tile[index] == own) continue;
+        if (child_tile[index] != 0) return "has siblings in two tiles";
+        child_tile[index] = own;
         ++families;
-        last = index;
       }
     }
     if (families != above.nodes) return "has a parent without children";

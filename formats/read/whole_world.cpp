@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <new>
+#include <numeric>
 #include <tuple>
 
 #include "formats/codec/records.h"
@@ -37,13 +38,18 @@ Result<void> WholeWorld::readChunks() {
       }
     above = chunks_[l];
     if (l + 1 < n) {
-      auto& children = children_[l + 1];
-      children.assign(levels()[l + 1].nodes, {kNoParent, 0});
-      for (uint32_t node = 0; node < levels()[l].nodes; ++node) {
-        auto& [first, end] = children[parent(static_cast<uint32_t>(l), node)];
-        first = std::min(first, node);
-        end = node + 1;
-      }
+      std::vector<uint32_t> parents;
+      parents.reserve(levels()[l].nodes);
+      for (const ChunkPtr& chunk : chunks_[l])
+        for (uint32_t t = 0; t < chunk->tiles.size(); ++t)
+          for (const uint8_t index : chunk->parentIndexOf(t)) parents.push_back(tiles_[l + 1][chunk->tiles[t].parent_tile].first_node + index);
+      auto& [start, below] = children_[l + 1];
+      start.assign(levels()[l + 1].nodes + 1, 0);
+      for (const uint32_t p : parents) ++start[p + 1];
+      std::partial_sum(start.begin(), start.end(), start.begin());
+      std::vector<uint32_t> next(start.begin(), start.end() - 1);
+      below.resize(parents.size());
+      for (uint32_t node = 0; node < parents.size(); ++node) below[next[parents[node]]++] = node;
     }
     LevelInfo sum;
     for (const TileInfo& tile : tiles_[l]) {

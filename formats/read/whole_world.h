@@ -23,17 +23,23 @@ class WholeWorld : public World {
   uint32_t tileOf(uint32_t level, uint32_t node) const;
   // Number of a node's parent at level + 1; kNoParent at the coarsest level.
   uint32_t parent(uint32_t level, uint32_t node) const;
-  // Numbers of the first and last + 1 nodes of level - 1 under a node; level >= 1.
-  std::pair<uint32_t, uint32_t> children(uint32_t level, uint32_t node) const { return children_[level][node]; }
+  // Numbers of the nodes of level - 1 under a node, ascending; level >= 1.
+  std::span<const uint32_t> children(uint32_t level, uint32_t node) const {
+    const Children& c = children_[level];
+    return std::span(c.node).subspan(c.start[node], c.start[node + 1] - c.start[node]);
+  }
 
  private:
   explicit WholeWorld(World world) : World(std::move(world)) {}
   Result<void> readChunks();
   Result<void> checkShards() const;
 
-  std::vector<std::vector<TileInfo>> tiles_;                         // by level
-  std::vector<std::vector<ChunkPtr>> chunks_;                        // by level, in the world's order
-  std::vector<std::vector<std::pair<uint32_t, uint32_t>>> children_; // by level, then by node; none at level 0
+  std::vector<std::vector<TileInfo>> tiles_;   // by level
+  std::vector<std::vector<ChunkPtr>> chunks_;  // by level, in the world's order
+  struct Children {
+    std::vector<uint32_t> start, node;  // start: by parent
+  };
+  std::vector<Children> children_;      // by level; none at level 0
 };
 
 }  // namespace ff::formats

@@ -151,7 +151,7 @@ Result<void> WorldWriter::State::linkTiles(std::span<const std::vector<uint32_t>
   for (size_t l = 0; l + 1 < levels.size(); ++l) {
     std::vector<TileInfo>& above = tiles[l + 1];
     if (parents[l].size() != levels[l].nodes) return misuse("parent links are not one per node");
-    std::vector<uint8_t> taken(levels[l + 1].nodes);
+    std::vector<uint32_t> child_tile(levels[l + 1].nodes, kNoParent);  // by parent
     size_t p = 0, families = 0;
     for (TileInfo& tile : tiles[l]) {
       const std::span<const uint32_t> own = std::span(parents[l]).subspan(tile.first_node, tile.nodes);
@@ -160,16 +160,16 @@ Result<void> WorldWriter::State::linkTiles(std::span<const std::vector<uint32_t>
       for (size_t i = 0; i < own.size(); ++i) {
         if (own[i] < parent.first_node || own[i] - parent.first_node >= parent.nodes)
           return misuse("parents of a tile's nodes do not lie in one tile, or tiles not in the order of these");
-        if (i > 0 && own[i] == own[i - 1]) continue;
-        if (i > 0 && own[i] < own[i - 1]) return misuse("parents do not ascend within a tile");
-        if (taken[own[i]]++ != 0) return misuse("siblings are not consecutive or lie in two tiles");
+        if (child_tile[own[i]] == tile.id.tile) continue;
+        if (child_tile[own[i]] != kNoParent) return misuse("siblings lie in two tiles");
+        child_tile[own[i]] = tile.id.tile;
         ++families;
       }
       tile.parent_tile = static_cast<uint32_t>(p);
       if (parent.end_child == 0) parent.first_child = tile.id.tile;
       parent.end_child = tile.id.tile + 1;
     }
-    if (families != taken.size()) return misuse("parent links do not name every node of the level above");
+    if (families != child_tile.size()) return misuse("parent links do not name every node of the level above");
   }
   return {};
 }

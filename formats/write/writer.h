@@ -42,8 +42,8 @@ class WorldWriter {
   // Level-0 tiles, ascending, after all strips; every tile once or none at all. Positions are quantised to 16 bits over the tile's
   // bounds and triangles are kept in order. world: cell_m alone is looked at.
   Result<void> addGeometry(const TileGeometry& geometry, const WorldInfo& world);
-  // parents[l][i]: number of the parent at level l + 1 of node i of level l; one vector for each level but the last. They ascend within
-  // a tile, where siblings are consecutive, and lie in one tile, whose number does not fall from one tile to the next.
+  // parents[l][i]: number of the parent at level l + 1 of node i of level l; one vector for each level but the last. Those of
+  // a tile's nodes lie in one tile, whose number does not fall from one tile to the next; siblings lie in one tile.
   // The child tiles of a tile lie in one chunk, which lies in the tile's own.
   // What could not be done without harm to the world is a warning in warnings(): a folder that cannot be synced, an old shard
   // that cannot be removed.

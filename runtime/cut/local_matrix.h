@@ -42,7 +42,7 @@ struct LocalMatrix {
       tiles;  // sorted by (level, tile); their slots are consecutive within a tile, in any order of tiles
   // Per slot; free slots are neither leaf nor refined and have empty rows.
   // A row is entries[row_start[s] .. + row_entries[s]): column slot << 16 | count, F = count * row_scale[s]. Its columns
-  // are in the order of their nodes; a coarse one that stands for nodes of several partner tiles may come once for each.
+  // are in the order of their nodes; a coarse one may come several times, for other nodes that it stands for.
   // Only leaves have any. A row begins at a multiple of kRowPadding and is filled up to one with entries of count 0.
   std::vector<uint32_t> row_start, row_entries;
   std::vector<float> row_scale;  // 1 / Q
@@ -50,11 +50,14 @@ struct LocalMatrix {
   std::vector<float> area_m2;
   std::vector<uint8_t> leaf;
   std::vector<uint32_t> parent_slot;  // kNoSlot at the top level
+  // Per slot with a parent: the next child of that, in ascending order; of the last one, the first. So the last is known by its next
+  // not being behind it.
+  std::vector<uint32_t> next_sibling;
   std::vector<uint32_t> entries;      // with gaps between rows
   std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
   struct Refined {
-    uint32_t slot, first_child, children;  // children are consecutive slots
+    uint32_t slot, first_child, last_child;  // from the first to the last by next_sibling
   };
   std::vector<Refined> refined;
   std::vector<uint32_t> refined_level_start;  // ranges of `refined` that may be done in parallel; last = refined.size()
@@ -69,9 +72,20 @@ struct LocalMatrix {
   const PageTable* pages = nullptr;  // the assembler's
 
   uint32_t slots() const { return static_cast<uint32_t>(albedo.size()); }  // the highest ever used + 1
+  // Calls child(slot) for each of a refined slot's, in ascending order.
+  template <class Child>
+  void forEachChild(const Refined& of, Child&& child) const {
+    for (uint32_t c = of.first_child;; c = next_sibling[c]) {
+      child(c);
+      if (c == of.last_child) return;
+    }
+  }
   std::span<const uint32_t> row(uint32_t slot) const { return {entries.data() + row_start[slot], row_entries[slot]}; }
   uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
 };
+
+// weights[c] of each slot with a parent: its area over that of the parent's children; equal where none has any. weights: per slot.
+void weighChildren(const LocalMatrix& matrix, std::span<float> weights);
 
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {

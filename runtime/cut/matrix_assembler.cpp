@@ -1,7 +1,9 @@
 #include "runtime/cut/matrix_assembler.h"
 
 #include <algorithm>
+#include <array>
 #include <string>
+#include <utility>
 
 namespace ff::runtime {
 namespace {
@@ -44,8 +46,8 @@ uint64_t roomOf(const ResidentStrip& strip) {
 
 uint32_t ambientOf(FarLight far_light) { return far_light == FarLight::kConstant ? 0 : kNoSlot; }
 
-// Resolves one run (resident_strip.h) into `out`; returns the number of entries. Columns that resolve to one slot are
-// neighbours, because nodes of a tile with one ancestor are consecutive: so merging looks one back. Without a branch on that:
+// Resolves one run (resident_strip.h) into `out`; returns the number of entries. Most columns that resolve to one slot are
+// neighbours, as nodes of a tile with one ancestor are: so merging looks one back. Without a branch on that:
 // most neighbours far away share a slot, but by no rule that a processor could learn. Over runs nothing is merged.
 uint32_t resolveRun(const uint16_t* words, uint32_t n, const uint16_t* page, uint32_t* out) {
   uint32_t last = kNoSlot, sum = 0, entries = 0;
@@ -89,7 +91,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   m.leaves.reserve(kMaxSlots);
   m.refined.reserve(kMaxSlots);
   m.refined_level_start.reserve(formats::kMaxLevels + 1);
-  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot}) per_slot->reserve(kMaxSlots);
+  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot, &m.next_sibling}) per_slot->reserve(kMaxSlots);
   m.row_scale.reserve(kMaxSlots);
   m.area_m2.reserve(kMaxSlots);
   m.albedo.reserve(kMaxSlots);
@@ -253,6 +255,7 @@ bool MatrixAssembler::place(Tile& tile) {
   if (end > m.albedo.size()) {
     for (auto* per_slot : {&m.row_start, &m.row_entries}) per_slot->resize(end, 0);
     m.parent_slot.resize(end, kNoSlot);
+    m.next_sibling.resize(end, kNoSlot);
     m.row_scale.resize(end, 0);
     m.area_m2.resize(end, 0);
     m.albedo.resize(end);
@@ -279,7 +282,7 @@ bool MatrixAssembler::place(Tile& tile) {
 // Takes all slots back, and room for at least twice the entries of the present tiles; all of them enter anew.
 void MatrixAssembler::renumber() {
   LocalMatrix& m = matrix_;
-  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot}) per_slot->clear();
+  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot, &m.next_sibling}) per_slot->clear();
   m.row_scale.clear();
   m.area_m2.clear();
   m.albedo.clear();
@@ -305,6 +308,7 @@ void MatrixAssembler::renumber() {
     m.row_start.push_back(0);
     m.row_entries.push_back(0);
     m.parent_slot.push_back(kNoSlot);
+    m.next_sibling.push_back(kNoSlot);
     m.row_scale.push_back(0);
     m.area_m2.push_back(0);
     m.albedo.push_back({});
@@ -319,11 +323,14 @@ void MatrixAssembler::link(const Tile& tile) {
   const uint32_t level = tile.range.id.level;
   const uint32_t first_parent = pages_.activeSlot({level + 1, tile.strip->tile.info().parent_tile});
   const std::span<const uint8_t> parent = tile.strip->tile.parentIndex();
+  std::array<uint32_t, formats::kTileNodes> last;  // child of each parent so far
+  last.fill(kNoSlot);
   for (uint32_t i = 0; i < tile.range.nodes; ++i) {
-    const uint32_t slot = first_parent + parent[i];
+    const uint32_t slot = first_parent + parent[i], own = tile.range.first_slot + i, before = std::exchange(last[parent[i]], own);
     matrix_.leaf[slot] = 0;
     matrix_.row_entries[slot] = 0;
-    matrix_.parent_slot[tile.range.first_slot + i] = slot;
+    matrix_.parent_slot[own] = slot;
+    matrix_.next_sibling[own] = before == kNoSlot ? own : std::exchange(matrix_.next_sibling[before], own);
   }
 }
 
@@ -426,19 +433,12 @@ void MatrixAssembler::listLeavesAndRefined() {
       level = range.id.level;
       if (level + 1 < world_.levels().size()) m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
     }
-    uint32_t parent = kNoSlot;
     for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
       if (m.leaf[slot]) {
         m.leaves.push_back(slot);
         m.used_entries += m.row_entries[slot];
       }
-      if (m.parent_slot[slot] == kNoSlot) continue;
-      if (m.parent_slot[slot] == parent) {
-        ++m.refined.back().children;
-      } else {
-        parent = m.parent_slot[slot];
-        m.refined.push_back({parent, slot, 1});
-      }
+      if (m.parent_slot[slot] != kNoSlot && m.next_sibling[slot] <= slot) m.refined.push_back({m.parent_slot[slot], m.next_sibling[slot], slot});
     }
   }
   if (m.ambient_slot != kNoSlot) m.leaves.push_back(m.ambient_slot);
@@ -450,6 +450,20 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<cons
   MatrixAssembler assembler(world, far_light);
   if (auto updated = assembler.update(active); !updated) return updated.error();
   return std::move(assembler).take();
+}
+
+void weighChildren(const LocalMatrix& m, std::span<float> weights) {
+  for (const LocalMatrix::Refined& refined : m.refined) {
+    double total = 0;
+    uint32_t children = 0;
+    m.forEachChild(refined, [&](uint32_t c) {
+      total += static_cast<double>(m.area_m2[c]);
+      ++children;
+    });
+    m.forEachChild(refined, [&](uint32_t c) {
+      weights[c] = total > 0 ? static_cast<float>(static_cast<double>(m.area_m2[c]) / total) : 1.0f / static_cast<float>(children);
+    });
+  }
 }
 
 uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node) {

@@ -28,9 +28,8 @@ NodeValues aggregateUp(const formats::WholeWorld& world, std::span<const float> 
     std::vector<Vec3> mean;
     std::vector<double> area;
     for (uint32_t node = 0; node < world.levels()[level].nodes; ++node) {
-      const auto [first, last] = world.children(level, node);
       double total = 0, sum[3] = {0, 0, 0};
-      for (uint32_t child = first; child < last; ++child) {
+      for (const uint32_t child : world.children(level, node)) {
         total += below_area[child];
         for (int c = 0; c < 3; ++c) sum[c] += below_area[child] * static_cast<double>(below[child][c]);
       }

@@ -30,16 +30,8 @@ void EnteringBlocks::takeUp(const LocalMatrix& matrix) {
   number_.assign(slots, kNone);
   leads_.assign(slots, 0);
   sum_.assign(slots, 0);
-  for (uint32_t r = 0; r < matrix.refined.size(); ++r) {
-    const LocalMatrix::Refined& refined = matrix.refined[r];
-    refined_of_[refined.slot] = r;
-    const float* area = matrix.area_m2.data() + refined.first_child;
-    double total = 0;
-    for (uint32_t c = 0; c < refined.children; ++c) total += static_cast<double>(area[c]);
-    for (uint32_t c = 0; c < refined.children; ++c)
-      child_weight_[refined.first_child + c] = total > 0 ? static_cast<float>(static_cast<double>(area[c]) / total)
-                                                         : 1.0f / static_cast<float>(refined.children);
-  }
+  for (uint32_t r = 0; r < matrix.refined.size(); ++r) refined_of_[matrix.refined[r].slot] = r;
+  weighChildren(matrix, child_weight_);
 }
 
 void EnteringBlocks::spread(uint32_t slot, float value, bool all) {
@@ -50,9 +42,7 @@ void EnteringBlocks::spread(uint32_t slot, float value, bool all) {
     sum_[slot] += value;
     return;
   }
-  const LocalMatrix::Refined& refined = matrix_->refined[refined_of_[slot]];
-  for (uint32_t c = refined.first_child; c < refined.first_child + refined.children; ++c)
-    spread(c, value * child_weight_[c], all);
+  matrix_->forEachChild(matrix_->refined[refined_of_[slot]], [&](uint32_t c) { spread(c, value * child_weight_[c], all); });
 }
 
 void EnteringBlocks::collect(std::span<const uint32_t> entering, std::span<const uint32_t> place_of_slot) {

@@ -39,7 +39,7 @@ void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> 
 }
 
 void SparseRows::refine(const EnteringBlocks& blocks, std::span<Vec4> values) const {
-  refineSlots(matrix_->refined.data(), blocks.childWeights().data(), values.data(), 0, static_cast<uint32_t>(matrix_->refined.size()));
+  refineSlots(*matrix_, blocks.childWeights().data(), values.data(), 0, static_cast<uint32_t>(matrix_->refined.size()));
 }
 
 }  // namespace ff::runtime

@@ -51,7 +51,7 @@ class CpuGather final : public Solver {
       }
     }
     divideRows();
-    weighChildren();
+    weighChildren(*matrix_, child_weight_);
     pace_.forget();
     return {};
   }
@@ -180,17 +180,6 @@ class CpuGather final : public Solver {
     if (parts_.back() != matrix_->leaves.size()) parts_.push_back(static_cast<uint32_t>(matrix_->leaves.size()));
   }
 
-  void weighChildren() {
-    for (const LocalMatrix::Refined& refined : matrix_->refined) {
-      const float* area = matrix_->area_m2.data() + refined.first_child;
-      double total = 0;
-      for (uint32_t c = 0; c < refined.children; ++c) total += static_cast<double>(area[c]);
-      for (uint32_t c = 0; c < refined.children; ++c)
-        child_weight_[refined.first_child + c] = total > 0 ? static_cast<float>(static_cast<double>(area[c]) / total)
-                                                           : 1.0f / static_cast<float>(refined.children);
-    }
-  }
-
   // Level by level from the finest up: a level's children are done.
   void refine() {
     const auto& starts = matrix_->refined_level_start;
@@ -198,7 +187,7 @@ class CpuGather final : public Solver {
       const uint32_t first = starts[level], end = starts[level + 1];
       const uint32_t parts = (end - first + kPartRefined - 1) / kPartRefined;
       pool_.run(parts, [&](uint32_t part) {
-        refineSlots(matrix_->refined.data(), child_weight_.data(), to_.data(), first + part * kPartRefined,
+        refineSlots(*matrix_, child_weight_.data(), to_.data(), first + part * kPartRefined,
                     std::min(end, first + (part + 1) * kPartRefined));
       });
     }

@@ -38,13 +38,11 @@ bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
   return sound;
 }
 
-void refineSlots(const LocalMatrix::Refined* refined, const float* child_weight, Vec4* values, uint32_t begin,
-                 uint32_t end) {
+void refineSlots(const LocalMatrix& matrix, const float* child_weight, Vec4* values, uint32_t begin, uint32_t end) {
   for (uint32_t r = begin; r < end; ++r) {
-    const uint32_t first = refined[r].first_child, last = first + refined[r].children;
     Float4 mean{};
-    for (uint32_t c = first; c < last; ++c) mean += asFloat4(values[c]) * child_weight[c];
-    reinterpret_cast<Float4&>(values[refined[r].slot]) = mean;
+    matrix.forEachChild(matrix.refined[r], [&](uint32_t c) { mean += asFloat4(values[c]) * child_weight[c]; });
+    reinterpret_cast<Float4&>(values[matrix.refined[r].slot]) = mean;
   }
 }
 

@@ -133,6 +133,7 @@ void GatherLayout::write(const LocalMatrix& matrix, const Tile& tile, uint32_t* 
     for (const float value : {albedo.x, albedo.y, albedo.z, matrix.area_m2[slot], matrix.row_scale[slot]})
       *at++ = std::bit_cast<uint32_t>(value);
     *at++ = matrix.parent_slot[slot];
+    *at++ = matrix.next_sibling[slot];
   }
   for (const auto& run : strip.runs) *at++ = uint32_t{run.words} << 16 | run.partner;
   at = std::copy(tile.partner_pages.begin(), tile.partner_pages.end(), at);

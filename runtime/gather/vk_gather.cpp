@@ -108,7 +108,7 @@ class VulkanGather final : public VulkanRecorder {
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
   ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, change_, refine_, shine_;
-  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
   Buffer faults_;   // one word: values repaired in steps
   Buffer changes_;  // of runMeasuredStep(): a float a work group
   Buffer radiosity_[2];  // reflected
@@ -205,13 +205,13 @@ Result<void> VulkanGather::makePipelines() {
     bool variant = false;
   };
   const Wanted list[] = {{&leave_, gather_leave_comp, 2, sizeof(shaders::JobPush)},
-                         {&enter_, gather_enter_comp, 6, sizeof(shaders::JobPush)},
+                         {&enter_, gather_enter_comp, 7, sizeof(shaders::JobPush)},
                          {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
                          {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
                          {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
                          {&gather_further_, gather_comp, 8, sizeof(shaders::GatherPush), true},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
-                         {&refine_, refine_comp, 4, sizeof(shaders::RefinePush)},
+                         {&refine_, refine_comp, 5, sizeof(shaders::RefinePush)},
                          {&shine_, shine_comp, 3, sizeof(shaders::ShinePush)}};
   for (const Wanted& w : list) {
     auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes), w.variant);
@@ -239,6 +239,7 @@ Result<void> VulkanGather::makeBuffers() {
       {&pages_, settings_.pages * kPageBytes},
       {&albedo_, slots * sizeof(Vec4)},
       {&parents_, slots * sizeof(uint32_t)},
+      {&siblings_, slots * sizeof(uint32_t)},
       {&kinds_, slots * sizeof(uint32_t)},
       {&source_, slots * sizeof(Vec4)},
       {&jobs_, jobs},
@@ -260,7 +261,7 @@ Result<void> VulkanGather::makeBuffers() {
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 10 + 3 * segments_, 2 + 2 + 12 + 8 + 8 + 6 + segments_ * (6 + 16));
+  auto sets = StorageSets::create(*context_, 10 + 3 * segments_, 2 + 2 + 14 + 10 + 8 + 6 + segments_ * (6 + 16));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -274,8 +275,8 @@ Result<void> VulkanGather::makeSets() {
   kinds_set_ = make(kinds_pass_, {whole(parents_), whole(kinds_)});
   for (uint32_t i = 0; i < 2; ++i) {
     enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
-                                  whole(radiosity_[i])});
-    refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(albedo_), whole(radiosity_[i])});
+                                  whole(siblings_), whole(radiosity_[i])});
+    refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(siblings_), whole(albedo_), whole(radiosity_[i])});
     change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
     shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_)});
   }
@@ -432,7 +433,7 @@ void VulkanGather::listSpans() {
     for (size_t l = 0; l + 1 < m.refined_level_start.size(); ++l) {
       levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
       for (uint32_t r = m.refined_level_start[l]; r < m.refined_level_start[l + 1]; ++r)
-        add(m.refined[r].first_child, m.refined[r].children);
+        add(m.refined[r].first_child, m.refined[r].last_child + 1 - m.refined[r].first_child);
     }
     return;
   }
@@ -682,8 +683,8 @@ VulkanGatherSettings gatherRoomFor(const formats::World& world) {
   s.slots = static_cast<uint32_t>(in_cut);
   s.tiles = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 4096));
   s.pages = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 65536));
-  // A word an entry, about a run of one word for every four of them; row starts and nodes 32 bytes.
-  s.packed_bytes = ((a_row * 3 + 32) * in_cut + std::min<uint64_t>(tiles, 65536) * 8) * 3 / 2 + (1 << 16);
+  // A word an entry, about a run of one word for every four of them; row starts and nodes 36 bytes.
+  s.packed_bytes = ((a_row * 3 + 36) * in_cut + std::min<uint64_t>(tiles, 65536) * 8) * 3 / 2 + (1 << 16);
   s.entry_bytes = (a_row + 2 * shaders::kEntriesPerLoad) * 4 * in_cut * 3 / 2 + (1 << 16);
   return s;
 }

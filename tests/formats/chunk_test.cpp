@@ -148,7 +148,18 @@ TEST_F(ChunkTest, RecordsThatContradictThemselvesOrTheirParentAreRefused) {
   refused("follow those of the tile before", u16(tile(1, 8), 0xffff));
   refused("follow those of the tile before", u16(tile(1, 6), 0xfff0));
   refused("follow those of the tile before", u16(tile(0, 4), 1));
-  refused("parents are not each once", u8(kChunkHeaderBytes + tiles * kTileRecordBytes, 255));
+  refused("parent is not there", u8(kChunkHeaderBytes + tiles * kTileRecordBytes, 255));
+  uint32_t second = 1;  // a tile with the same parent tile as the one before
+  while (chunk->tiles[second].parent_tile != chunk->tiles[second - 1].parent_tile) ++second;
+  const auto withParent = [&](uint32_t t, uint8_t parent) {
+    return [=, this](auto& raw) {
+      Chunk c = *chunk;
+      std::ranges::fill(std::span(c.parent_index).subspan(c.tiles[t].first_node - c.firstNode(), c.tiles[t].nodes), parent);
+      raw = encodeChunk(world_->info(), c);
+    };
+  };
+  refused("siblings in two tiles", withParent(second, chunk->parentIndexOf(second - 1)[0]));
+  refused("without children", withParent(second, chunk->parentIndexOf(second)[0]));
   refused("a child outside it", u8(children, 8));
   refused("bounds that cannot be", u32(children + 32, 0x7fc00000u));
   refused("impossible size", u32(children + 4 + 12, 0));

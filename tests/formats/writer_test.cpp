@@ -102,8 +102,8 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_TRUE(finishes([](RandomWorld&) {}));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.strips[0].clear(); }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0].pop_back(); }));
-  EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0][7] = 9; }));
-  EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0].back() = 148; }));
+  EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0][7] = 150; }));
+  EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents[0][6] = w.parents[0][7] = 9; }));  // a parent without children
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.parents.clear(); }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.cell_m = 0; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.bounds = Box{}; }));
@@ -111,7 +111,9 @@ TEST(Writer, RefusesToFinishWhatIsNotAWorld) {
   EXPECT_TRUE(finishes([](RandomWorld& w) { w.info.quanta = 299 / kMaxRowFactor + 1; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.info.quanta = 299 / kMaxRowFactor; }));
   EXPECT_FALSE(finishes([](RandomWorld& w) { w.geometry.push_back({0, {}, {}}); }));  // of one tile of two
-  EXPECT_FALSE(finishes([](RandomWorld& w) { std::swap_ranges(w.parents[0].begin(), w.parents[0].begin() + 2, w.parents[0].begin() + 2); }));
+  // Siblings may stand anywhere in their tile.
+  EXPECT_TRUE(finishes([](RandomWorld& w) { std::swap_ranges(w.parents[0].begin(), w.parents[0].begin() + 2, w.parents[0].begin() + 2); }));
+  EXPECT_TRUE(finishes([](RandomWorld& w) { w.parents[0][7] = 9; }));
   // Parents of one tile in two: the level above in tiles of 100 and 50 nodes.
   EXPECT_FALSE(finishes([](RandomWorld& w) {
     Strip& whole = w.strips[1][0];

@@ -175,10 +175,9 @@ TEST(Updater, LampsLightTheSameAtEveryLevelOfTheCut) {
   for (uint32_t level = 1; level <= test.top(); ++level) {
     const std::vector<Vec3> own = lampsAt(test, level, scale);
     for (uint32_t n = 0; n < own.size(); ++n) {
-      const auto [first, last] = test.world().children(level, n);
       Vec3 sum;
       float area = 0;
-      for (uint32_t child = first; child < last; ++child) {
+      for (const uint32_t child : test.world().children(level, n)) {
         sum += below[child] * test.node(level - 1, child).area_m2;
         area += test.node(level - 1, child).area_m2;
       }

@@ -173,7 +173,7 @@ TEST_F(FramePath, UpdatesGoOnWhileTheSourceItselfBlocks) {
 }
 
 TEST_F(FramePath, AStripThatIsHeldOutlivesItsEviction) {
-  const auto streamer = make({.radius_m = 8, .memory_bytes = 220000}, makeFileSource(*world_));
+  const auto streamer = make({.radius_m = 8, .memory_bytes = 220000, .kept_bytes = 0}, makeFileSource(*world_));
   streamer->update({10, 1, 10}, {});
   ASSERT_TRUE(streamer->settle());
   const std::vector<StripPtr> held(streamer->active().begin(), streamer->active().end());

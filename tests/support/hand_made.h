@@ -4,7 +4,7 @@
 
 namespace ff::runtime {
 
-// row_start has one item more than there are slots, rows follow each other; fills in what can be told from that.
+// row_start has one item more than there are slots, rows follow each other, and so do children of one slot; fills in what can be told from that.
 inline void finishByHand(LocalMatrix& m) {
   const uint32_t slots = m.slots();
   m.row_entries.resize(slots);
@@ -22,8 +22,12 @@ inline void finishByHand(LocalMatrix& m) {
   }
   m.row_start.pop_back();
   m.entries = std::move(padded);
+  m.next_sibling.assign(slots, kNoSlot);
   for (const LocalMatrix::Refined& r : m.refined)
-    for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) m.parent_slot[c] = r.slot;
+    for (uint32_t c = r.first_child; c <= r.last_child; ++c) {
+      m.parent_slot[c] = r.slot;
+      m.next_sibling[c] = c < r.last_child ? c + 1 : r.first_child;
+    }
 }
 
 // A new matrix to a solver, and radiosity to start from (empty: zero).

@@ -121,19 +121,31 @@ Level aggregate(const Level& below, std::vector<uint32_t>& parents) {
 }
 
 // Tiles of up to tile_nodes of the level below one whose tiles are known, and the order of its nodes: every tile's odd parents have their children
-// in other tiles than the even ones, so that parents are in order within a tile only. Returns where tiles start.
+// in other tiles than the even ones, and a family's second half comes after the first half of the next family. Returns where tiles start.
 std::vector<uint32_t> cutTiles(const std::vector<uint32_t>& parents, const std::vector<uint32_t>& starts_above, uint32_t tile_nodes,
                                std::vector<uint32_t>& order) {
   std::vector<uint32_t> starts{0}, first(starts_above.back()), children(starts_above.back());
   for (size_t i = parents.size(); i-- > 0; ++children[parents[i]]) first[parents[i]] = static_cast<uint32_t>(i);
+  std::vector<uint32_t> second_half;  // of the family before
+  const auto flush = [&] {
+    order.insert(order.end(), second_half.begin(), second_half.end());
+    second_half.clear();
+  };
+  const auto close = [&] {
+    flush();
+    if (order.size() > starts.back()) starts.push_back(static_cast<uint32_t>(order.size()));
+  };
   for (size_t t = 0; t + 1 < starts_above.size(); ++t)
     for (const uint32_t odd : {0u, 1u}) {
       for (uint32_t p = starts_above[t]; p < starts_above[t + 1]; ++p) {
         if (p % 2 != odd) continue;
-        if (order.size() + children[p] - starts.back() > tile_nodes) starts.push_back(static_cast<uint32_t>(order.size()));
-        for (uint32_t i = 0; i < children[p]; ++i) order.push_back(first[p] + i);
+        if (order.size() + second_half.size() + children[p] - starts.back() > tile_nodes) close();
+        const uint32_t middle = first[p] + (children[p] + 1) / 2, end = first[p] + children[p];
+        for (uint32_t i = first[p]; i < middle; ++i) order.push_back(i);
+        flush();
+        for (uint32_t i = middle; i < end; ++i) second_half.push_back(i);
       }
-      if (order.size() > starts.back()) starts.push_back(static_cast<uint32_t>(order.size()));
+      close();
     }
   return starts;
 }

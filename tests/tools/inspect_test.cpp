@@ -262,8 +262,8 @@ TEST_F(Inspect, PrintsJsonThatParses) {
   EXPECT_EQ(row["entries"][0]["column"], (nlohmann::json{{"level", 0}, {"chunk", {-2, 0, 2}}, {"tile", 0}, {"index", 0}}));
   EXPECT_EQ(row["parent"], (nlohmann::json{{"level", 1}, {"chunk", {-1, 0, 1}}, {"tile", 0}, {"index", 149}}));
   const auto above = nlohmann::json::parse(inspect("row --json " + world() + " 1 -1,0,1 0 149").text);
-  EXPECT_EQ(above["children"]["first"], (nlohmann::json{{"level", 0}, {"chunk", {-2, 0, 2}}, {"tile", 1}, {"index", 42}}));
-  EXPECT_EQ(above["children"]["count"], 2);
+  ASSERT_EQ(above["children"].size(), 2u);
+  for (int k = 0; k < 2; ++k) EXPECT_EQ(above["children"][k], (nlohmann::json{{"level", 0}, {"chunk", {-2, 0, 2}}, {"tile", 1}, {"index", 42 + k}}));
   EXPECT_EQ(nlohmann::json::parse(inspect("locate --json " + world() + " 3 0 0").text)["name"]["index"], 3);
 }
 

@@ -99,17 +99,18 @@ std::vector<RowEntry> rowEntries(const NamedStrip& s, uint32_t row) {
   return entries;
 }
 
-// The name of the first of a node's children, which follow each other, and how many they are; level >= 1.
-Result<std::pair<NodeName, uint32_t>> childrenOf(const World& world, const TileRef& tile, uint32_t index) {
+// The children of a node, which lie in one tile; level >= 1.
+Result<std::vector<NodeName>> childrenOf(const World& world, const TileRef& tile, uint32_t index) {
   const auto below = world.childTiles(tile);
   if (!below) return below.error();
-  for (uint32_t t = below->first; t < below->end; ++t) {
+  std::vector<NodeName> children;
+  for (uint32_t t = below->first; t < below->end && children.empty(); ++t) {
     const TileRef child{below->chunk, t};
     const auto parents = child.parentIndex();
-    const auto [first, end] = std::ranges::equal_range(parents, index);
-    if (first != end) return std::pair{nameOf(child, static_cast<uint32_t>(first - parents.begin())), static_cast<uint32_t>(end - first)};
+    for (uint32_t i = 0; i < parents.size(); ++i)
+      if (parents[i] == index) children.push_back(nameOf(child, i));
   }
-  return Error{ErrorCode::kInvalidFile, world.path(), tileText(tile), "has a node without children", "bake again"};
+  return children;
 }
 
 void printVec(std::FILE* to, const char* name, Vec3 v) { fmt::print(to, "{:<14}{:.6g} {:.6g} {:.6g}\n", name, v.x, v.y, v.z); }
@@ -152,18 +153,19 @@ Result<void> inspectRow(const World& world, const NodeName& node, const InspectO
   const Node& n = strip->strip.nodes[node.index];
   const std::vector<RowEntry> entries = rowEntries(*strip, node.index);
   const bool top = strip->tile.chunk->isTop();
-  std::optional<std::pair<NodeName, uint32_t>> children;
+  std::vector<NodeName> children;
   if (node.level > 0) {
     auto found = childrenOf(world, strip->tile, node.index);
     if (!found) return found.error();
-    children = *found;
+    children = std::move(*found);
   }
   const auto parent = [&] { return nameOf(strip->tile.parent(), strip->tile.parentIndex()[node.index]); };
   if (out.json) {
     json j = toJson(n);
     j["name"] = toJson(node);
     j["parent"] = top ? json() : toJson(parent());
-    if (children) j["children"] = {{"first", toJson(children->first)}, {"count", children->second}};
+    if (node.level > 0) j["children"] = json::array();
+    for (const NodeName& child : children) j["children"].push_back(toJson(child));
     j["lamps"] = lampsJson(world, lampsOf(strip->strip, node.index));
     j["entries"] = json::array();
     for (const RowEntry& e : entries)
@@ -174,8 +176,9 @@ Result<void> inspectRow(const World& world, const NodeName& node, const InspectO
   fmt::print(out.to, "node {} of {}\n", node.index, tileText(strip->tile));
   printNode(out.to, world, n);
   if (!top) fmt::print(out.to, "{:<14}{} {}\n", "parent", node.level + 1, textOf(parent()));
-  if (children)
-    fmt::print(out.to, "{:<14}{} {} to {}\n", "children", node.level - 1, textOf(children->first), children->first.index + children->second - 1);
+  if (!children.empty()) fmt::print(out.to, "{:<14}{} {}", "children", node.level - 1, textOf(children[0]));
+  for (size_t k = 1; k < children.size(); ++k) fmt::print(out.to, " {}", children[k].index);
+  if (!children.empty()) fmt::print(out.to, "\n");
   for (const LampLight& lamp : lampsOf(strip->strip, node.index))
     fmt::print(out.to, "{:<14}{} \"{}\": {:.6g} {:.6g} {:.6g} of its emission arrives\n", "lamp", lamp.group,
                groupName(world, lamp.group), lamp.weight.x, lamp.weight.y, lamp.weight.z);

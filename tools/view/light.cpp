@@ -105,10 +105,10 @@ std::vector<shaders::vec4> gatherLight(const LocalMatrix& m, std::span<const Vec
   for (const LocalMatrix::Refined& r : m.refined) {
     Vec3 sum;
     float area = 0;
-    for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) {
+    m.forEachChild(r, [&](uint32_t c) {
       sum += m.area_m2[c] * Vec3{light[c].x, light[c].y, light[c].z};
       area += m.area_m2[c];
-    }
+    });
     if (!(area > 0)) continue;
     sum = sum / area;
     light[r.slot] = {sum.x, sum.y, sum.z, 0};

@@ -86,25 +86,28 @@ TEST(LocalMatrix, ANodeIsRefinedExactlyWhenItsChildrenAreActive) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 9});
   const Cut cut = test.randomCut(0.6, 5);
   const LocalMatrix matrix = build(test, cut);
-  std::map<uint32_t, std::pair<uint32_t, uint32_t>> refined;
+  std::map<uint32_t, std::vector<uint32_t>> refined;  // children of each
   for (size_t l = 0; l + 1 < matrix.refined_level_start.size(); ++l)
     for (uint32_t r = matrix.refined_level_start[l]; r < matrix.refined_level_start[l + 1]; ++r) {
       const LocalMatrix::Refined& item = matrix.refined[r];
-      ASSERT_TRUE(refined.emplace(item.slot, std::pair{item.first_child, item.children}).second);
-      // Children come from an earlier range, or are leaves.
-      for (uint32_t c = item.first_child; c < item.first_child + item.children; ++c)
+      std::vector<uint32_t> children;
+      // They come from an earlier range, or are leaves.
+      matrix.forEachChild(item, [&](uint32_t c) {
         ASSERT_TRUE(matrix.leaf[c] || refined.count(c) != 0);
+        children.push_back(c);
+      });
+      ASSERT_TRUE(refined.emplace(item.slot, children).second);
     }
   for (const SlotRange& range : matrix.tiles)
     for (uint32_t i = 0; i < range.nodes; ++i) {
       const uint32_t slot = range.first_slot + i, node = range.first_node + i;
       bool children_active = false;
       if (range.id.level > 0) {
-        const auto [first, last] = test.world().children(range.id.level, node);
-        const uint32_t first_slot = matrix.slotOf(range.id.level - 1, first);
-        children_active = first_slot != kNoSlot;
+        std::vector<uint32_t> children;
+        for (const uint32_t child : test.world().children(range.id.level, node)) children.push_back(matrix.slotOf(range.id.level - 1, child));
+        children_active = children[0] != kNoSlot;
         if (children_active) {
-          ASSERT_EQ(refined.at(slot), std::pair(first_slot, last - first));
+          ASSERT_EQ(refined.at(slot), children);
         }
       }
       ASSERT_EQ(matrix.leaf[slot] == 0, children_active);

@@ -67,7 +67,7 @@ LocalMatrix randomMatrix(uint32_t leaves, uint32_t max_row, int refined_levels, 
     m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
     uint32_t child = first_slot[l];
     for (uint32_t i = 0; i < groups[l].size(); ++i) {
-      m.refined.push_back({first_slot[l + 1] + i, child, groups[l][i]});
+      m.refined.push_back({first_slot[l + 1] + i, child, child + groups[l][i] - 1});
       child += groups[l][i];
     }
   }
@@ -94,7 +94,7 @@ std::vector<Rgb> reference(const LocalMatrix& m, std::span<const Vec4> source, s
     }
     for (const auto& r : m.refined) {
       double area = 0;
-      for (uint32_t c = r.first_child; c < r.first_child + r.children; ++c) {
+      for (uint32_t c = r.first_child; c <= r.last_child; ++c) {
         for (int i = 0; i < 3; ++i) next[r.slot].v[i] += static_cast<double>(m.area_m2[c]) * next[c].v[i];
         area += static_cast<double>(m.area_m2[c]);
       }
@@ -235,7 +235,7 @@ TEST_F(VkGather, HandlesAllSlotsThatAnEntryCanName) {
   const uint32_t leaves = m.slots();
   m.refined_level_start = {0, refined};
   for (uint32_t i = 0; i < refined; ++i) {
-    m.refined.push_back({leaves + i, leaves - 1 - i, 1});
+    m.refined.push_back({leaves + i, leaves - 1 - i, leaves - 1 - i});
     m.albedo.push_back({});
     m.area_m2.push_back(1);
     m.leaf.push_back(0);

@@ -61,11 +61,11 @@ std::vector<std::array<double, 3>> naive(const TestWorld& test, const Cut& cut, 
         }
       for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
         const uint32_t node = strip->first_node + i, slot = slot_of[{level, node}];
-        const auto [first, last] = level > 0 ? test.world().children(level, node) : std::pair{0u, 0u};
-        if (level > 0 && slot_of.count({level - 1, first}) != 0) {
+        const auto children = level > 0 ? test.world().children(level, node) : std::span<const uint32_t>();
+        if (level > 0 && slot_of.count({level - 1, children[0]}) != 0) {
           std::array<double, 3> sum{};
           double area = 0;
-          for (uint32_t child = first; child < last; ++child) {
+          for (const uint32_t child : children) {
             const double a = static_cast<double>(test.node(level - 1, child).area_m2);
             area += a;
             for (size_t c = 0; c < 3; ++c) sum[c] += a * to[slot_of[{level - 1, child}]][c];

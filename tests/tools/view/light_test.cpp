@@ -18,7 +18,7 @@ LocalMatrix smallMatrix() {
   m.row_start = {0, 2, 3, 3, 3};
   m.entries = {1u << 16 | 4, 2u << 16 | 2, 0u << 16 | 8};
   m.row_scale = {1.0f / 8, 1.0f / 16, 1, 1};
-  m.refined = {{3, 1, 2}};
+  m.refined = {{3, 1, 2}};  // slots 1 to 2
   m.refined_level_start = {0, 1};
   m.albedo.resize(4, {0.5f, 0.5f, 0.5f, 0});
   m.area_m2 = {1, 1, 3, 4};
