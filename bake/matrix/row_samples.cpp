@@ -15,8 +15,11 @@ namespace {
 constexpr uint32_t kOffsets = 2 * formats::kMaxRowFactor;  // two for the rows with the most samples
 constexpr uint32_t kSunPoints = 8;   // of a patch
 constexpr float kSunOverSky = 3.5f;  // on a patch that faces it, of an open, level patch's skylight: a clear day
+// The suns stand 30 degrees high, so that they shine through windows and between the slats of blinds (from 45 degrees none
+// shines into the dining room), and 20 degrees off the axes, which most walls follow.
+constexpr float kUp = 0.5f, kAlong = 0.8137977f, kAcross = 0.2961981f;
 constexpr std::array<Vec3, kSuns> kTowardsSun = {
-    {{0.5f, 0.7071068f, 0.5f}, {-0.5f, 0.7071068f, 0.5f}, {-0.5f, 0.7071068f, -0.5f}, {0.5f, 0.7071068f, -0.5f}}};
+    {{kAlong, kUp, kAcross}, {-kAcross, kUp, kAlong}, {-kAlong, kUp, -kAcross}, {kAcross, kUp, -kAlong}}};
 
 }  // namespace
 

@@ -2,7 +2,7 @@
 // window that the sun shines on), the row's Q samples meet each of them once or not at all, and its neighbours' rows do
 // otherwise: clouds. So a row's error is measured before the row is sampled: the samples of sampleRow() for all offsets that are
 // multiples of 1/16 are those of one row with 16 times as many, and how far their light spreads is the error. It is measured under
-// some lights of which a world is likely to see one: the sky alone, the sky with the sun from each of four sides, and the scene's lamps.
+// some lights of which a world is likely to see one: the sky alone, the sky with a low sun from each of four sides, and the scene's lamps.
 // A row that errs by more than the bounds below, under any of them, is given twice, four or eight times as many samples.
 #pragma once
 #include <array>

@@ -3,10 +3,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "bake/matrix/row_sampling.h"
 #include "formats/model.h"
+#include "tests/support/analytic_scenes.h"
 
 namespace ff::bake::test {
 namespace {
@@ -31,18 +33,24 @@ class OneRow final : public ExchangeLevel {
     if (lit_ > 0 && node % lit_ == 0) out.lamps.push_back({0, {9, 9, 9}});
     out.absorbed_m2 = 1 - out.sky_m2;
   }
-  bool isBright(uint32_t node) const { return node > 0 && node % (kOthers / bright_) == 0; }
+  bool isBright(uint32_t node) const { return bright_ > 0 && node > 0 && node % (kOthers / bright_) == 0; }
   std::vector<NodeValues> values() const {
     NodeValues grey;
     grey.node.albedo = {0.5f, 0.5f, 0.5f};
     grey.node.area_m2 = 1;
     return std::vector<NodeValues>(nodes(), grey);
   }
-  uint32_t factor(uint32_t quanta) const {
-    const std::vector<SunLight> no_sun(nodes());
+  uint32_t factor(uint32_t quanta) const { return factor(quanta, std::vector<SunLight>(nodes())); }
+  uint32_t factor(uint32_t quanta, const std::vector<SunLight>& sun) const {
     ExchangeRow own;
     row(0, own);
-    return RowSamples(*this, values(), no_sun).factor(0, own, quanta);
+    return RowSamples(*this, values(), sun).factor(0, own, quanta);
+  }
+  // With every 80th of the others in the sun of one side: they bring node 0 about kDayDark.
+  uint32_t factorInStripes(uint32_t quanta) const {
+    std::vector<SunLight> sun(nodes());
+    for (uint32_t j = 80; j <= kOthers; j += 80) sun[j][2] = 3;
+    return factor(quanta, sun);
   }
   // Standard deviation of the skylight that node 0 gets, over 1024 offsets, of its mean.
   double error(uint32_t quanta) const {
@@ -86,6 +94,35 @@ TEST(RowSamples, AreAsManyAsTheRowsErrorAsksFor) {
 TEST(RowSamples, LampsAreALightAsWell) {
   EXPECT_EQ(OneRow(4000, 1).factor(512), 1u);
   EXPECT_GE(OneRow(4000, 500).factor(512), 4u);
+}
+
+TEST(RowSamples, StripesOfSunAskForMoreInTheDarkButNotInTheOpen) {
+  EXPECT_GE(OneRow(0, 0).factorInStripes(512), 2u);
+  EXPECT_EQ(OneRow(4000, 0).factorInStripes(512), 1u);
+}
+
+// A wall that faces +x, 4 m behind slats as deep as they are apart, under a roof.
+Scene wallBehindBlinds() {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0, -1}, {0, 3, -1}, {0, 3, 1}, {0, 0, 1}, m);
+  addQuad(s, {0, 3, -40}, {4.2f, 3, -40}, {4.2f, 3, 40}, {0, 3, 40}, m);
+  for (int i = 0; i <= 15; ++i) {
+    const float y = 0.2f * static_cast<float>(i);
+    addQuad(s, {4, y, -40}, {4, y, 40}, {4.2f, y, 40}, {4.2f, y, -40}, m);
+  }
+  return s;
+}
+
+TEST(SunOnPatches, ComesInBetweenTheSlatsOfBlinds) {
+  const Scene scene = wallBehindBlinds();
+  const auto set = makePatches(scene, {.cell_m = 0.5f});
+  const auto caster = RayCaster::create(scene);
+  const std::vector<SunLight> sun = sunOnPatches(scene, *set, *caster, 1);
+  float most = 0;
+  for (size_t p = 0; p < sun.size(); ++p)
+    if (set->patches[p].centroid.x < 0.1f) most = std::max(most, *std::max_element(sun[p].begin(), sun[p].end()));
+  EXPECT_GT(most, 1);  // of 3.5 that face it
 }
 
 TEST(RowSamples, ClustersGetTheMeansOfTheirChildren) {
