@@ -59,7 +59,7 @@ struct BakeStats {
 };
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 16;
+inline constexpr uint32_t kBakeCode = 17;
 
 // WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);

@@ -18,21 +18,34 @@ constexpr float kSunOverSky = 3.5f;  // on a patch that faces it, of an open, le
 // The suns stand 30 degrees high, so that they shine through windows and between the slats of blinds (from 45 degrees none
 // shines into the dining room), and 20 degrees off the axes, which most walls follow.
 constexpr float kUp = 0.5f, kAlong = 0.8137977f, kAcross = 0.2961981f;
-constexpr std::array<Vec3, kSuns> kTowardsSun = {
-    {{kAlong, kUp, kAcross}, {-kAcross, kUp, kAlong}, {-kAlong, kUp, -kAcross}, {kAcross, kUp, -kAlong}}};
+
+// Towards each; zero: there is none.
+std::array<Vec3, kSuns> sunsOf(const Scene& scene) {
+  std::array<Vec3, kSuns> suns{{{kAlong, kUp, kAcross}, {-kAcross, kUp, kAlong}, {-kAlong, kUp, -kAcross}, {kAcross, kUp, -kAlong}}};
+  float brightest = 0;
+  for (const formats::Light& light : scene.lights) {
+    const Vec3 irradiance = light.color_intensity;
+    const float sum = irradiance.x + irradiance.y + irradiance.z;
+    if (light.kind != formats::Light::kDirectional || !(sum > brightest)) continue;
+    brightest = sum;
+    suns.back() = light.direction * -1;
+  }
+  return suns;
+}
 
 }  // namespace
 
 std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed) {
   std::vector<SunLight> light(set.patches.size());
   const SobolTable sobol(kSunPoints);
+  const std::array<Vec3, kSuns> suns = sunsOf(scene);
   tbb::parallel_for(uint32_t{0}, static_cast<uint32_t>(light.size()), [&](uint32_t p) {
     std::array<SurfacePoint, kSunPoints> points;
     surfacePoints(scene, set, p, sobol, seed, caster, points);
     for (size_t s = 0; s < kSuns; ++s)
       for (const SurfacePoint& point : points) {
-        const float cosine = dot(point.normal, kTowardsSun[s]);
-        if (cosine > 0 && !caster.occluded({point.position, kTowardsSun[s]}, std::numeric_limits<float>::infinity()))
+        const float cosine = dot(point.normal, suns[s]);
+        if (cosine > 0 && !caster.occluded({point.position, suns[s]}, std::numeric_limits<float>::infinity()))
           light[p][s] += kSunOverSky * cosine / kSunPoints;
       }
   });

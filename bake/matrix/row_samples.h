@@ -2,7 +2,8 @@
 // window that the sun shines on), the row's Q samples meet each of them once or not at all, and its neighbours' rows do
 // otherwise: clouds. So a row's error is measured before the row is sampled: the samples of sampleRow() for all offsets that are
 // multiples of 1/16 are those of one row with 16 times as many, and how far their light spreads is the error. It is measured under
-// some lights of which a world is likely to see one: the sky alone, the sky with a low sun from each of four sides, and the scene's lamps.
+// some lights of which a world is likely to see one: the sky alone, the sky with a low sun from each of four sides and with the scene's
+// own, and the scene's lamps.
 // A row that errs by more than the bounds below, under any of them, is given twice, four or eight times as many samples.
 #pragma once
 #include <array>
@@ -20,15 +21,15 @@ namespace ff::bake {
 // Standard deviation of a row's light, of all the light that the node gets; by day of 1/64 of an open, level patch's skylight as well.
 inline constexpr double kDayRowError = 1.0 / 16, kDayDark = 1.0 / 64, kLampRowError = 1.0 / 4;
 
-inline constexpr size_t kSuns = 4;
-using SunLight = std::array<float, kSuns>;  // on a patch from each side, of an open, level patch's skylight
+inline constexpr size_t kSuns = 5;          // the last is the scene's brightest directional light; dark where it has none
+using SunLight = std::array<float, kSuns>;  // on a patch from each, of an open, level patch's skylight
 
 // By patch, from a few points of each, on all of TBB's threads. Positions as the caster has them.
 std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed);
 
 class RowSamples {
  public:
-  // Lets each light bounce twice, on all of TBB's threads. sun: by node. Memory: 48 bytes a node.
+  // Lets each light bounce twice, on all of TBB's threads. sun: by node. Memory: 56 bytes a node.
   RowSamples(const ExchangeLevel& patches, std::span<const NodeValues> values, std::span<const SunLight> sun);
   // The light of the nodes of the level above: means over their children. values: of the children.
   RowSamples(const RowSamples& children, std::span<const NodeValues> values, std::span<const uint32_t> parents, uint32_t nodes);

@@ -125,6 +125,24 @@ TEST(SunOnPatches, ComesInBetweenTheSlatsOfBlinds) {
   EXPECT_GT(most, 1);  // of 3.5 that face it
 }
 
+TEST(SunOnPatches, TheBrightestDirectionalLightOfTheFileIsOneOfThem) {
+  Scene scene = wallBehindBlinds();
+  const auto set = makePatches(scene, {.cell_m = 0.5f});
+  const auto caster = RayCaster::create(scene);
+  const auto mostOnTheWall = [&] {
+    const std::vector<SunLight> sun = sunOnPatches(scene, *set, *caster, 1);
+    float most = 0;
+    for (size_t p = 0; p < sun.size(); ++p)
+      if (set->patches[p].centroid.x < 0.1f) most = std::max(most, sun[p].back());
+    return most;
+  };
+  EXPECT_EQ(mostOnTheWall(), 0);
+  scene.lights = {{"lamp", formats::Light::kPoint, {1000, 1000, 1000}, {1, 1, 0}, {}, 0, 0, 0},
+                  {"sun", formats::Light::kDirectional, {3, 3, 3}, {}, {-1, 0, 0}, 0, 0, 0},
+                  {"moon", formats::Light::kDirectional, {1, 1, 1}, {}, {0, -1, 0}, 0, 0, 0}};
+  EXPECT_FLOAT_EQ(mostOnTheWall(), 3.5f);
+}
+
 TEST(RowSamples, ClustersGetTheMeansOfTheirChildren) {
   const OneRow level(20, 0);
   const std::vector<NodeValues> values = level.values();
