@@ -56,6 +56,7 @@ class Updater {
 
   const LocalMatrix& matrix() const;  // of the last frame
   const MatrixAssembler& assembler() const { return assembler_; }
+  void renumberNext() { assembler_.renumberNext(); }  // for tests
   // What the solver was told of the matrix, by the last frame that says matrix_changed.
   const MatrixChange& change() const { return *told_; }
   // Per slot, W/m2, rgb and 0:

@@ -24,6 +24,10 @@ class Recording {
  public:
   virtual ~Recording() = default;
   virtual Result<void> record(int iterations) = 0;
+  // Instead of asking the device while a frame is recorded: what slots reflect as last seen, which lags.
+  virtual void lastSeen(std::span<Vec4> reflected) const = 0;
+  // Slots were given out anew, and go on from this.
+  virtual void goOnFrom(std::span<const Vec4> reflected) = 0;
 };
 
 // The solver of a world, and what there is to know of it.
@@ -45,6 +49,7 @@ struct FormfieldDevice_T {
   // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
   bool records() const { return records(ff::runtime::SolverKind::kGather); }
   virtual bool records(ff::runtime::SolverKind) const { return false; }
+  virtual uint64_t submissions() const { return 0; }  // of our own to a queue, for tests: each is waited for
   std::string name, error;
 };
 
@@ -84,14 +89,20 @@ struct FormfieldWorld_T {
       return now().update(m, c);
     }
     ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
-    ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override { return now().setRadiosity(b); }
-    ff::Result<void> iterate(int k) override {
-      const bool records = world.recording && !world.solver.fellBack();  // which update() may just have done
-      return records ? world.solver.recording->record(k) : now().iterate(k);
+    // A frame is being recorded, and update() has not just fallen back: nothing waits for the device.
+    bool records() const { return world.recording && !world.solver.fellBack(); }
+    ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override {
+      if (records()) world.solver.recording->goOnFrom(b);
+      return now().setRadiosity(b);
     }
+    ff::Result<void> iterate(int k) override { return records() ? world.solver.recording->record(k) : now().iterate(k); }
     ff::Result<void> approach(int k) override { return now().approach(k); }
     uint64_t repaired() const override { return now().repaired(); }
-    ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override { return now().radiosity(out); }
+    ff::Result<void> radiosity(std::span<ff::runtime::Vec4> out) override {
+      if (!records()) return now().radiosity(out);
+      world.solver.recording->lastSeen(out);
+      return {};
+    }
     double lastMs() const override { return now().lastMs(); }
     const char* name() const override { return now().name(); }
     const FormfieldWorld_T& world;

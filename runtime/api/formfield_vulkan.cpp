@@ -33,11 +33,15 @@ class VulkanRecording final : public Recording {
     auto stepped = world.step(observer, velocity);
     world.recording = false;
     if (!stepped) return stepped;
-    if (world.solver.fellBack()) return world.readRadiosity();
     const LocalMatrix& matrix = world.updater.matrix();
     if (world.frame_stats.matrix_changed)
       for (const uint32_t t : world.updater.change().entered)
         entered_[matrix.tiles[t].first_slot] = records_;
+    if (world.solver.fellBack()) {
+      readBack(world, {});
+      if (auto set = world.solver.solver->setRadiosity(reflected_); !set) return set;
+      return world.readRadiosity();
+    }
     readBack(world, arrived);
     recordReadBack(matrix.slots());
     world.residual = recorder_.residual();
@@ -51,6 +55,13 @@ class VulkanRecording final : public Recording {
       emission_ = updater_->emissionChange();
     }
     return recorder_.record(commands_, iterations);
+  }
+  void lastSeen(std::span<Vec4> reflected) const override {
+    std::copy_n(reflected_.begin(), std::min(reflected_.size(), reflected.size()), reflected.begin());
+  }
+  void goOnFrom(std::span<const Vec4> reflected) override {
+    reflected_.assign(reflected.begin(), reflected.end());
+    anew_ = records_;
   }
   const VulkanRecorder& recorder() const { return recorder_; }
 
@@ -66,17 +77,16 @@ class VulkanRecording final : public Recording {
 
   uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
 
-  // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now.
+  // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now. Records from before
+  // slots were given out anew say nothing of these: until younger ones arrive they stay as they were carried over.
   void readBack(FormfieldWorld_T& world, const Region& arrived) {
     const LocalMatrix& matrix = world.updater.matrix();
+    const bool fresh = arrived.slots > 0 && arrived.record >= anew_;
     reflected_.resize(matrix.slots());
-    if (arrived.slots > 0)
-      std::memcpy(reflected_.data(), buffer_.mapped() + offset(),
-                  std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
-    for (size_t t = matrix.tiles.size(); t-- > 0;) {  // parents first
+    if (fresh) std::memcpy(reflected_.data(), buffer_.mapped() + offset(), std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
+    for (size_t t = anew_ < records_ ? matrix.tiles.size() : 0; t-- > 0;) {  // parents first
       const SlotRange& range = matrix.tiles[t];
-      if (arrived.slots > 0 && entered_[range.first_slot] <= arrived.record) continue;
-      if (arrived.slots == 0 && entered_[range.first_slot] != records_) continue;
+      if (fresh ? entered_[range.first_slot] <= arrived.record : entered_[range.first_slot] != records_) continue;
       for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot)
         reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
     }
@@ -101,6 +111,7 @@ class VulkanRecording final : public Recording {
   std::vector<Vec4> reflected_;    // by slot, as far as it has come back
   std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
   uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
+  uint64_t anew_ = 0;                    // the first record with the slots of now
   VkCommandBuffer commands_ = VK_NULL_HANDLE;
   const Updater* updater_ = nullptr;
 };
@@ -136,6 +147,7 @@ struct VulkanDevice final : FormfieldDevice_T {
     return withFallback(std::move(solver), known);
   }
   bool records(SolverKind kind) const override { return kind != SolverKind::kSeed; }
+  uint64_t submissions() const override { return context->submissions(); }
   // A device that is lost or full from the start is no worse than one that gets there.
   static Result<WorldSolver> withoutDevice(const Error& error) {
     if (error.cause == ErrorCause::kOther) return error;

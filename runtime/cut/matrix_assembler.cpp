@@ -136,13 +136,14 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
     bool same = true;
     for (const StripPtr& strip : active)
       if (takes_part(strip)) same = same && t < tiles_.size() && tiles_[t++].range.id == strip->id;
-    if (same && t == tiles_.size() && !tiles_.empty()) return {};
+    if (same && t == tiles_.size() && !tiles_.empty() && !renumber_next_) return {};
   }
   if (auto fit = check(active); !fit) return fit;
   change_.any = true;
   diff(active);
   for (size_t t = 0; t < tiles_.size(); ++t) {
-    if (!tiles_[t].entered || place(tiles_[t])) continue;
+    const bool anew = std::exchange(renumber_next_, false);
+    if (!anew && (!tiles_[t].entered || place(tiles_[t]))) continue;
     renumber();  // fragmented, or larger than was foreseen
     for (Tile& tile : tiles_) place(tile);
     break;

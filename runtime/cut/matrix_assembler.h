@@ -24,6 +24,9 @@ class MatrixAssembler {
   // ancestors of an active tile are missing).
   Result<void> update(std::span<const stream::StripPtr> active);
 
+  // For tests: the next update() gives slots out anew.
+  void renumberNext() { renumber_next_ = true; }
+
   const LocalMatrix& matrix() const { return matrix_; }
   const MatrixChange& change() const { return change_; }  // of the last update
   // By number in LocalMatrix::tiles.
@@ -67,6 +70,7 @@ class MatrixAssembler {
   FarLight far_light_;
   LocalMatrix matrix_;
   MatrixChange change_;
+  bool renumber_next_ = false;
   PageTable pages_;
   RangeAllocator slots_, entries_, partners_, runs_;
   std::vector<Tile> tiles_, next_tiles_;

@@ -142,7 +142,7 @@ class VulkanGather final : public VulkanRecorder {
 };
 
 VulkanGather::~VulkanGather() {
-  // Command buffers of the caller's may still be under way: a FallbackSolver drops this solver in the middle of a flight.
+  // Command buffers of the caller's may still be under way.
   vkDeviceWaitIdle(context_->device());
 }
 

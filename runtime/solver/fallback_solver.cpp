@@ -47,15 +47,14 @@ class Fallback final : public FallbackSolver {
   const std::string& reason() const override { return reason_; }
 
  private:
-  const Solver& inUse() const { return first_ ? *first_ : *second_; }
+  const Solver& inUse() const { return reason_.empty() ? *first_ : *second_; }
 
   template <class Call>
   Result<void> attempt(const Call& call) {
-    if (!first_) return call(*second_);
+    if (!reason_.empty()) return call(*second_);
     auto r = call(*first_);
     if (r || r.error().cause == ErrorCause::kOther) return r;
     reason_ = r.error().line();
-    first_.reset();
     if (auto set = second_->update(*matrix_, {}); !set) return set;
     if (auto set = second_->setRadiosity(last_seen_); !set) return set;
     if (!source_.empty())
@@ -64,7 +63,7 @@ class Fallback final : public FallbackSolver {
   }
 
   std::unique_ptr<Solver> first_, second_;
-  std::string reason_;
+  std::string reason_;  // empty: first_ is in use
   const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> source_, last_seen_;  // their memory is kept from frame to frame
 };

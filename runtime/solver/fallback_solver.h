@@ -1,5 +1,6 @@
 // A solver that outlives its device: when the first one loses its device or runs out of device memory, the second (on
-// the CPU) takes over with the same matrix, the same light and the radiosity last seen, within the same call.
+// the CPU) takes over with the same matrix, the same light and the radiosity last seen, within the same call. The first one stays, unused, until
+// the end: a caller's command buffers may still use what it holds, and nothing waits for them.
 #pragma once
 #include <memory>
 #include <string>

@@ -73,6 +73,7 @@ class VkContext {
   // device does not finish within two minutes counts as a lost device.
   Result<uint64_t> submit(VkCommandBuffer commands);
   Result<void> wait(uint64_t submission);
+  uint64_t submissions() const { return submitted_; }
   // The device reported VK_ERROR_DEVICE_LOST: every later submission fails with it at once.
   bool lost() const { return lost_; }
   // For tests of what follows: so many more submissions succeed, then the device counts as lost.

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <fstream>
 
+#include "runtime/api/formfield_handles.h"
 #include "runtime/choose_solver.h"
 #include "runtime/vulkan/buffer.h"
 #include "runtime/vulkan/device.h"
@@ -169,7 +170,17 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
   const FormfieldSky sky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
   ASSERT_EQ(formfieldSetSky(world, &sky), FORMFIELD_OK);
 
-  constexpr int kFrames = 160;
+  const auto meanLight = [&] {
+    std::vector<uint32_t> slot_of(test_.world().levels()[0].nodes);
+    EXPECT_EQ(formfieldPatchSlots(world, 0, static_cast<uint32_t>(slot_of.size()), slot_of.data()), FORMFIELD_OK);
+    const float* const light = formfieldRadiosity(world, nullptr);
+    double sum = 0;
+    for (const uint32_t slot : slot_of) sum += static_cast<double>(light[4 * slot] + light[4 * slot + 1] + light[4 * slot + 2]);
+    return sum / static_cast<double>(slot_of.size());
+  };
+
+  constexpr int kFrames = 160, kAnew = 40;  // in the latter slots are given out anew
+  double before = 0;
   for (int frame = 0; frame < kFrames; ++frame) {
     const int ring = frame % 2;
     if (frame >= 2) {
@@ -183,7 +194,17 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
       ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     // In from afar, then still: cuts change while frames are in flight.
     const double at[3] = {std::max(16.0, 28 - 0.2 * frame), 1, 16};
+    if (frame == kAnew) {
+      before = meanLight();
+      world->updater.renumberNext();
+    }
+    const uint64_t submissions = device_->submissions();
     ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
+    EXPECT_EQ(device_->submissions(), submissions) << "frame " << frame << " has waited for the device";
+    EXPECT_TRUE(frame != kAnew || world->updater.change().renumbered);
+    if (frame >= kAnew && frame < kAnew + 6) {
+      EXPECT_NEAR(meanLight(), before, 0.1 * before) << "frame " << frame;
+    }
     ASSERT_EQ(vkEndCommandBuffer(commands[ring]), VK_SUCCESS);
     auto submit = zeroed<VkSubmitInfo>(VK_STRUCTURE_TYPE_SUBMIT_INFO);
     submit.commandBufferCount = 1;

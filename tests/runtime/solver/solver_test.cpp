@@ -5,6 +5,7 @@
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/gather/gather_kernels.h"
+#include "runtime/solver/fallback_solver.h"
 #include "runtime/solver/worker_pool.h"
 #include "tests/runtime/solver/bad_numbers.h"
 #include "tests/runtime/test_world.h"
@@ -377,6 +378,46 @@ TEST(WorkerPool, CallsEveryPartOnceAgainAndAgain) {
       for (const auto& c : calls) ASSERT_EQ(c.load(), 1);
     }
   }
+}
+
+// Command buffers of a caller's may still use what the first solver holds.
+TEST(Fallback, TheSolverThatFailsStaysUntilTheEndAndIsAskedNoMore) {
+  class Failing final : public Solver {
+   public:
+    Failing(int& calls, bool& gone) : calls_(calls), gone_(gone) {}
+    ~Failing() override { gone_ = true; }
+    Result<void> update(const LocalMatrix&, const MatrixChange&) override { return lost(); }
+    Result<void> setSource(std::span<const Vec4>) override { return lost(); }
+    Result<void> setRadiosity(std::span<const Vec4>) override { return lost(); }
+    Result<void> iterate(int) override { return lost(); }
+    Result<void> radiosity(std::span<Vec4>) override { return lost(); }
+    double lastMs() const override { return 0; }
+    const char* name() const override { return "failing"; }
+
+   private:
+    Result<void> lost() {
+      ++calls_;
+      return Error{ErrorCode::kIo, "", "", "lost", "", ErrorCause::kDeviceLost};
+    }
+    int& calls_;
+    bool& gone_;
+  };
+  const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 3});
+  const auto matrix = build(test, test.randomCut(0.5, 1));
+  const std::vector<Vec4> source = randomSource(matrix->slots(), 1);
+  int calls = 0;
+  bool gone = false;
+  auto solver = makeFallbackSolver(std::make_unique<Failing>(calls, gone), makeCpuGather(1));
+  EXPECT_STREQ(solver->name(), "failing");
+  const std::vector<Vec4> light = solve(*solver, matrix, source, 8);
+  EXPECT_STREQ(solver->name(), "cpu");
+  EXPECT_EQ(calls, 1);
+  EXPECT_FALSE(gone);
+  const auto cpu = makeCpuGather(1);
+  const std::vector<Vec4> expected = solve(*cpu, matrix, source, 8);
+  for (size_t slot = 0; slot < light.size(); ++slot) ASSERT_EQ(light[slot].x, expected[slot].x);
+  solver.reset();
+  EXPECT_TRUE(gone);
 }
 
 }  // namespace
