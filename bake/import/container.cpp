@@ -16,7 +16,7 @@ constexpr uint32_t kJsonChunk = 0x4e4f534a;  // "JSON"
 constexpr uint32_t kBinChunk = 0x004e4942;   // "BIN\0"
 constexpr uint64_t kHeaderBytes = 12, kChunkHeaderBytes = 8;
 constexpr size_t kDeepest = 512;  // nesting of JSON values; the glTF schema needs about 10
-// What a piece of JSON comes to at its peak: parsed, reduced and parsed again, and as tinygltf's structures (measured
+// What a piece of JSON comes to at its peak: parsed, validated and parsed again, and as tinygltf's structures (measured
 // with 50,000 objects of each kind; materials, which come to more, are counted where they are read).
 constexpr uint64_t kObjectBytes = 900, kArrayBytes = 100, kMemberBytes = 150, kElementBytes = 100, kCharacterBytes = 4;
 

@@ -113,7 +113,7 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
 }
 
 // Images are read later and only where a surface shows them; here they become sources, textures and samplers.
-Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource>& images,
+Json validateTextures(const Item& file, size_t view_count, std::vector<ImageSource>& images,
                     std::vector<std::vector<uint32_t>>& texture_images, Json& samplers) {
   for (const Item& item : file.items("images", "image")) {
     ImageSource source;
@@ -124,18 +124,18 @@ Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource
   }
   samplers = Json::array();
   for (const Item& item : file.items("samplers", "sampler")) {
-    Json reduced = Json::object();
+    Json validated = Json::object();
     for (const char* key : {"wrapS", "wrapT"})
       if (const auto wrap = item.integer(key)) {
         if (*wrap != 10497 && *wrap != 33071 && *wrap != 33648)
           refuse(item.place(), std::string(key) + " " + std::to_string(*wrap) + " is unknown");
-        reduced[key] = *wrap;
+        validated[key] = *wrap;
       }
-    samplers.push_back(std::move(reduced));
+    samplers.push_back(std::move(validated));
   }
   Json out = Json::array();
   for (const Item& item : file.items("textures", "texture")) {
-    Json reduced = Json::object();
+    Json validated = Json::object();
     // What an extension names comes first where it can be read; else it is what the texture has besides a fallback.
     std::vector<uint32_t> sources;
     const auto add = [&](const Item& holder) {
@@ -146,8 +146,8 @@ Json reduceTextures(const Item& file, size_t view_count, std::vector<ImageSource
     for (const char* other : {"KHR_texture_basisu", "EXT_texture_avif", "MSFT_texture_dds"})
       if (const auto extension = item.extension(other)) add(*extension);
     texture_images.push_back(std::move(sources));
-    if (const auto sampler = item.reference("sampler", samplers.size(), "sampler")) reduced["sampler"] = *sampler;
-    out.push_back(std::move(reduced));
+    if (const auto sampler = item.reference("sampler", samplers.size(), "sampler")) validated["sampler"] = *sampler;
+    out.push_back(std::move(validated));
   }
   return out;
 }
@@ -203,18 +203,18 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
     checkAsset(file);
     checkExtensions(file);
     loadBuffers(file, container, storage, budget);
-    Json reduced = {{"asset", {{"version", "2.0"}}}};
+    Json validated = {{"asset", {{"version", "2.0"}}}};
     std::vector<AccessorFacts> accessors;
-    reduced["accessors"] = reduceAccessors(file, storage, accessors);
-    reduced["textures"] = reduceTextures(file, storage.views.size(), out.images, out.texture_images, reduced["samplers"]);
-    reduced["materials"] = reduceMaterials(file, reduced["textures"].size(), budget, out.material_facts, warnings);
-    reduced["meshes"] = reduceMeshes(file, accessors, reduced["materials"].size(), storage.views.size(), warnings);
-    reduced["nodes"] = reduceNodes(file, accessors, reduced["meshes"].size(), out.roots);
+    validated["accessors"] = validateAccessors(file, storage, accessors);
+    validated["textures"] = validateTextures(file, storage.views.size(), out.images, out.texture_images, validated["samplers"]);
+    validated["materials"] = validateMaterials(file, validated["textures"].size(), budget, out.material_facts, warnings);
+    validated["meshes"] = validateMeshes(file, accessors, validated["materials"].size(), storage.views.size(), warnings);
+    validated["nodes"] = validateNodes(file, accessors, validated["meshes"].size(), out.roots);
     out.objects = readObjects(file);
     out.lights = readLights(file, warnings);
     out.buffer_present = storage.present;
-    hand(storage, reduced);
-    text = reduced.dump(-1, ' ', false, Json::error_handler_t::replace);
+    hand(storage, validated);
+    text = validated.dump(-1, ' ', false, Json::error_handler_t::replace);
   }
   if (text.size() > 0xffffffffu) refuse("JSON", "larger than 4 GiB");
   BufferServer server{&storage.buffers};

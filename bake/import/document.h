@@ -1,4 +1,4 @@
-// A glTF file checked and reduced to what a radiosity baker reads. Every index, count, offset and extent in the model
+// A glTF file validated: checked, and no more of it than a radiosity baker reads. Every index, count, offset and extent in the model
 // has been checked with 64-bit arithmetic against the bytes that are really there, so that code behind this door may
 // trust them; values inside the buffers (vertex indices, coordinates, Draco bitstreams) have not. Private to
 // this folder.
@@ -14,7 +14,7 @@
 #include "bake/import/container.h"
 #include "bake/import/lights.h"
 #include "bake/import/objects.h"
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 
 namespace ff::bake::gltf {
 

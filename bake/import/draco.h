@@ -16,7 +16,7 @@ struct DracoMesh {
   std::map<std::string, Elements> attributes;  // those named in the primitive's extension
 };
 
-// extension: the reduced extension object of a primitive. mode: 4 or 5.
+// extension: the validated extension object of a primitive. mode: 4 or 5.
 DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension, int mode, const std::string& place,
                       Budget& budget);
 

@@ -1,6 +1,6 @@
 // EXT_meshopt_compression. Private to this folder.
 #pragma once
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 
 namespace ff::bake::gltf {
 

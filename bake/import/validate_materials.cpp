@@ -2,13 +2,13 @@
 #include <cmath>
 #include <numbers>
 
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 #include "formats/model.h"
 
 namespace ff::bake::gltf {
 namespace {
 
-constexpr uint64_t kMaterialBytes = 6000;  // reduced and as tinygltf's structures: measured with 50,000
+constexpr uint64_t kMaterialBytes = 6000;  // validated and as tinygltf's structures: measured with 50,000
 constexpr uint64_t kMaxTexCoords = 64;
 constexpr double kLargestEmission = 3e11;  // W/(m2 sr)
 static_assert(kLargestEmission * std::numbers::pi < static_cast<double>(formats::kMaxEmission));
@@ -144,7 +144,7 @@ MaterialFacts readFacts(const Item& item, size_t texture_count, Warner& warn) {
 
 }  // namespace
 
-Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
+Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
                      std::vector<std::string>& warnings) {
   Warner warn(warnings);
   Json out = Json::array();
@@ -185,11 +185,11 @@ Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std
     for (double& x : emission) x = warn.clamped(x * strength, 0, kLargestEmission, item, "emission");
     pbr["baseColorFactor"] = base;
     if (base_texture) pbr["baseColorTexture"] = std::move(*base_texture);
-    Json reduced = {{"name", item.text("name")},  {"pbrMetallicRoughness", std::move(pbr)},
+    Json validated = {{"name", item.text("name")},  {"pbrMetallicRoughness", std::move(pbr)},
                     {"emissiveFactor", emission}, {"alphaMode", mode},
                     {"alphaCutoff", cutoff},      {"doubleSided", item.flag("doubleSided")}};
-    if (auto t = texture(item, "emissiveTexture", texture_count)) reduced["emissiveTexture"] = std::move(*t);
-    out.push_back(std::move(reduced));
+    if (auto t = texture(item, "emissiveTexture", texture_count)) validated["emissiveTexture"] = std::move(*t);
+    out.push_back(std::move(validated));
   }
   return out;
 }

@@ -1,6 +1,6 @@
 #include <cmath>
 
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 
 namespace ff::bake::gltf {
 namespace {
@@ -8,7 +8,7 @@ namespace {
 constexpr double kUnitTolerance = 0.01;  // of a quaternion's squared length; it is normalised within
 constexpr uint32_t kNoNode = 0xffffffffu;
 
-Json reduceInstancing(const Item& instancing, const std::vector<AccessorFacts>& accessors) {
+Json validateInstancing(const Item& instancing, const std::vector<AccessorFacts>& accessors) {
   const auto attributes = instancing.object("attributes");
   if (!attributes) refuse(instancing.place(), "attributes is missing");
   Json kept = Json::object();
@@ -34,22 +34,22 @@ Json reduceInstancing(const Item& instancing, const std::vector<AccessorFacts>& 
   return {{"attributes", std::move(kept)}};
 }
 
-void reduceTransform(const Item& item, Json& reduced) {
+void validateTransform(const Item& item, Json& validated) {
   if (const auto matrix = item.numbers("matrix", 16); !matrix.empty()) {
     for (const char* key : {"translation", "rotation", "scale"})
       if (item.has(key)) refuse(item.place(), "has both matrix and " + std::string(key));
     if (matrix[3] != 0 || matrix[7] != 0 || matrix[11] != 0 || matrix[15] != 1)
       refuse(item.place(), "the last row of matrix must be 0, 0, 0, 1");
-    reduced["matrix"] = matrix;
+    validated["matrix"] = matrix;
     return;
   }
   for (const char* key : {"translation", "scale"})
-    if (const auto v = item.numbers(key, 3); !v.empty()) reduced[key] = v;
+    if (const auto v = item.numbers(key, 3); !v.empty()) validated[key] = v;
   if (auto q = item.numbers("rotation", 4); !q.empty()) {
     const double squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     if (!(std::fabs(squared - 1) < kUnitTolerance)) refuse(item.place(), "rotation must be a unit quaternion");
     for (double& x : q) x /= std::sqrt(squared);
-    reduced["rotation"] = q;
+    validated["rotation"] = q;
   }
 }
 
@@ -67,16 +67,16 @@ void refuseCycles(const std::vector<uint32_t>& parent) {
 
 }  // namespace
 
-Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
+Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                  std::vector<uint32_t>& roots) {
   const auto items = file.items("nodes", "node");
   std::vector<uint32_t> parent(items.size(), kNoNode);
   Json out = Json::array();
   for (uint32_t i = 0; i < items.size(); ++i) {
     const Item& item = items[i];
-    Json reduced = Json::object();
-    reduceTransform(item, reduced);
-    if (const auto mesh = item.reference("mesh", mesh_count, "mesh")) reduced["mesh"] = *mesh;
+    Json validated = Json::object();
+    validateTransform(item, validated);
+    if (const auto mesh = item.reference("mesh", mesh_count, "mesh")) validated["mesh"] = *mesh;
     const auto children = item.references("children", items.size(), "node");
     for (const uint32_t child : children) {
       if (child == i) refuse(item.place(), "is its own child");
@@ -85,13 +85,13 @@ Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, 
                "is a child twice, of node " + std::to_string(parent[child]) + " and of node " + std::to_string(i));
       parent[child] = i;
     }
-    if (!children.empty()) reduced["children"] = children;
+    if (!children.empty()) validated["children"] = children;
     if (const auto instancing = item.extension("EXT_mesh_gpu_instancing"))
-      reduced["extensions"]["EXT_mesh_gpu_instancing"] = reduceInstancing(*instancing, accessors);
+      validated["extensions"]["EXT_mesh_gpu_instancing"] = validateInstancing(*instancing, accessors);
     if (const auto visibility = item.extension("KHR_node_visibility"))
       if (visibility->has("visible"))
-        reduced["extensions"]["KHR_node_visibility"]["visible"] = visibility->flag("visible");
-    out.push_back(std::move(reduced));
+        validated["extensions"]["KHR_node_visibility"]["visible"] = visibility->flag("visible");
+    out.push_back(std::move(validated));
   }
   refuseCycles(parent);
 

@@ -1,6 +1,6 @@
 #include <set>
 
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 
 namespace ff::bake::gltf {
 namespace {
@@ -34,7 +34,7 @@ bool isTexCoord(const std::string& name) {
   return name.size() == 10 || (name[9] != '0' && name.substr(9) < "64");
 }
 
-Json reduceDraco(const Item& item, const Item& draco, const Json& kept, const std::vector<AccessorFacts>& accessors,
+Json validateDraco(const Item& item, const Item& draco, const Json& kept, const std::vector<AccessorFacts>& accessors,
                  size_t view_count, uint64_t vertex_count, uint64_t index_count) {
   const auto view = draco.reference("bufferView", view_count, "bufferView");
   if (!view) refuse(draco.place(), "bufferView is missing");
@@ -56,7 +56,7 @@ Json reduceDraco(const Item& item, const Item& draco, const Json& kept, const st
 
 }  // namespace
 
-Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
+Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                   size_t view_count, std::vector<std::string>& warnings) {
   bool quantized = false;
   for (const char* list : {"extensionsUsed", "extensionsRequired"})
@@ -107,20 +107,20 @@ Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors,
         warnings.push_back(item.place() + ": has no POSITION and is left out");
         continue;
       }
-      Json reduced = {{"mode", mode}, {"attributes", kept}};
-      if (material) reduced["material"] = *material;
+      Json validated = {{"mode", mode}, {"attributes", kept}};
+      if (material) validated["material"] = *material;
       if (const auto draco = item.extension("KHR_draco_mesh_compression")) {
         if (mode == 6) refuse(item.place(), "a triangle fan cannot be Draco-compressed");
-        reduced["extensions"]["KHR_draco_mesh_compression"] =
-            reduceDraco(item, *draco, kept, accessors, view_count, vertex_count, index_count);
+        validated["extensions"]["KHR_draco_mesh_compression"] =
+            validateDraco(item, *draco, kept, accessors, view_count, vertex_count, index_count);
       } else if (indices) {
         if (accessors[*indices].view < 0) {  // all zeros, as the specification has it
           warnings.push_back(item.place() + ": its indices have no bufferView: no triangle has an area");
           continue;
         }
-        reduced["indices"] = *indices;
+        validated["indices"] = *indices;
       }
-      primitives.push_back(std::move(reduced));
+      primitives.push_back(std::move(validated));
     }
     out.push_back({{"primitives", std::move(primitives)}});
   }

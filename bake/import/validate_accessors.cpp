@@ -1,4 +1,4 @@
-#include "bake/import/reduce.h"
+#include "bake/import/validate.h"
 
 namespace ff::bake::gltf {
 namespace {
@@ -76,7 +76,7 @@ void checkSparseOrder(const Item& item, const Storage& storage, uint32_t view, u
   }
 }
 
-Json reduceSparse(const Item& item, const Item& sparse, const Storage& storage, const AccessorFacts& facts,
+Json validateSparse(const Item& item, const Item& sparse, const Storage& storage, const AccessorFacts& facts,
                   uint64_t element, uint64_t component, bool* present) {
   const uint64_t n = count(sparse);
   if (n > facts.count)
@@ -90,27 +90,27 @@ Json reduceSparse(const Item& item, const Item& sparse, const Storage& storage, 
     if (!view) refuse(side->place(), "bufferView is missing");
     const uint64_t offset = side->integer("byteOffset").value_or(0);
     uint64_t width = element, alignment = component;
-    Json reduced = {{"bufferView", *view}, {"byteOffset", offset}};
+    Json validated = {{"bufferView", *view}, {"byteOffset", offset}};
     if (part[0] == 'i') {
       const uint64_t type = side->requiredInteger("componentType");
       if (type != 5121 && type != 5123 && type != 5125)
         refuse(side->place(), "componentType " + std::to_string(type) + " cannot be an index");
       width = alignment = componentBytes(type);
-      reduced["componentType"] = type;
+      validated["componentType"] = type;
     }
     if (storage.views[*view].stride) refuse(side->place(), "bufferView " + std::to_string(*view) + " has a byteStride");
     if (offset > 0x7fffffffu) refuse(side->place(), "byteOffset " + std::to_string(offset) + " is too large");
     checkExtent(*side, n, width, width, offset, alignment, *view, storage.views[*view]);
     if (part[0] == 'i') checkSparseOrder(item, storage, *view, offset, width, n, facts.count);
     *present = *present && storage.present[storage.views[*view].buffer];
-    out[part] = std::move(reduced);
+    out[part] = std::move(validated);
   }
   return out;
 }
 
 }  // namespace
 
-Json reduceAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts) {
+Json validateAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts) {
   Json out = Json::array();
   for (const Item& item : file.items("accessors", "accessor")) {
     AccessorFacts f;
@@ -124,7 +124,7 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
     if (!element) refuse(item.place(), "type \"" + printable(f.type) + "\" is unknown");
     f.normalized = item.flag("normalized");
     if (f.normalized && component == 4) refuse(item.place(), "32-bit components cannot be normalized");
-    Json reduced = {
+    Json validated = {
         {"count", f.count}, {"componentType", component_type}, {"type", f.type}, {"normalized", f.normalized}};
     bool present = true;
     if (const auto view = item.reference("bufferView", storage.views.size(), "bufferView")) {
@@ -135,8 +135,8 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
                                  std::to_string(extents.stride) + " of bufferView " + std::to_string(*view));
       checkExtent(item, f.count, lastElementBytes(f.type, component), extents.stride ? extents.stride : element, offset,
                   component, *view, extents);
-      reduced["bufferView"] = *view;
-      reduced["byteOffset"] = offset;
+      validated["bufferView"] = *view;
+      validated["byteOffset"] = offset;
       f.view = static_cast<int>(*view);
       f.strided = extents.stride != 0;
       f.has_data = true;
@@ -145,12 +145,12 @@ Json reduceAccessors(const Item& file, const Storage& storage, std::vector<Acces
       refuse(item.place(), "byteOffset without a bufferView");
     }
     if (const auto sparse = item.object("sparse")) {
-      reduced["sparse"] = reduceSparse(item, *sparse, storage, f, element, component, &present);
+      validated["sparse"] = validateSparse(item, *sparse, storage, f, element, component, &present);
       f.has_data = true;
     }
     f.has_data = f.has_data && present;
     facts.push_back(std::move(f));
-    out.push_back(std::move(reduced));
+    out.push_back(std::move(validated));
   }
   return out;
 }

@@ -1,4 +1,4 @@
-// The checking half of document.cpp: JSON in, reduced JSON out. Private to this folder.
+// The checking half of document.cpp: JSON in, validated JSON out: what the baker reads, and no more. Private to this folder.
 #pragma once
 #include <string>
 #include <vector>
@@ -43,13 +43,13 @@ struct MaterialFacts {
   std::vector<std::string> left_alone;          // see Material::left_alone
 };
 
-Json reduceAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
+Json validateAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
 // texture_count and material warnings: see document.h for what materials look like afterwards.
-Json reduceMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
+Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
                      std::vector<std::string>& warnings);
-Json reduceMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
+Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                   size_t view_count, std::vector<std::string>& warnings);
-Json reduceNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
+Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                  std::vector<uint32_t>& roots);
 
 }  // namespace ff::bake::gltf
