@@ -143,7 +143,7 @@ struct SectionRecord {
   uint32_t kind = 0;
   uint64_t offset = 0;
   uint64_t stored_bytes = 0;
-  uint64_t raw_bytes = 0;  // equal to stored_bytes unless the section is compressed
+  uint64_t raw_bytes = 0;  // equal to stored_bytes: no section is compressed
   uint64_t checksum = 0;   // XXH3-64 of the stored bytes
   template <class Io, class Self>
   static void fields(Io& io, Self& s) {

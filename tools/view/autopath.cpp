@@ -188,7 +188,8 @@ std::vector<uint32_t> floorsToTry(const ViewScene& scene, const Detail& detail) 
 struct Panorama {
   Vec3 eye;
   std::vector<Hit> hits = std::vector<Hit>(size_t{kColumns} * kRows);  // by column, then row
-  double light = 0;    // that arrives there, roughly: what emits, what sees the sky
+  std::vector<float> lit = {};  // by night, by ray: what the surface reflects of the lamps' light, W/m2
+  double light = 0;    // that arrives there, roughly: what emits, what sees the sky; by night what lamps light
   double patches = 0;  // different ones in view
   double detail = 0;   // triangles around
   double backs = 0;    // of the rays
@@ -198,9 +199,10 @@ struct Panorama {
   }
 };
 
-Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye) {
+Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye, bool by_night) {
   Panorama p;
   p.eye = eye;
+  if (by_night) p.lit.resize(p.hits.size());
   std::vector<uint32_t> seen;
   double weight = 0;
   for (int c = 0; c < kColumns; ++c)
@@ -211,13 +213,19 @@ Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye) {
       const double solid = std::sqrt(std::max(0.0f, 1 - direction.y * direction.y));
       weight += solid;
       if (!hit.any()) {
-        p.light += 3 * solid;  // the sky
+        p.light += by_night ? 0 : 3 * solid;  // the sky
         continue;
       }
       p.backs += hit.front ? 0 : solid;
       const uint32_t patch = scene.triangle_patch[hit.triangle];
       seen.push_back(patch);
       const formats::Node& n = scene.patches[patch];
+      if (by_night) {
+        const Vec3 reflected = n.albedo * scene.lamps[patch];
+        p.lit[static_cast<size_t>(c * kRows + r)] = std::max({reflected.x, reflected.y, reflected.z});
+        p.light += solid * static_cast<double>(p.lit[static_cast<size_t>(c * kRows + r)]);
+        continue;
+      }
       const Vec3 emitted = n.emission;
       const double open = static_cast<double>(n.sky_fraction);
       p.light += solid * (static_cast<double>(std::max({emitted.x, emitted.y, emitted.z})) + 3 * open);
@@ -260,6 +268,15 @@ double pictureScore(const ViewScene& scene, const Panorama& p, int column, float
   return (0.1 + structure) * std::min(depth, 3.0);
 }
 
+// Share of a picture's rays that meet surface that is lit at least so much.
+double litShare(const Panorama& p, int column, double least) {
+  int lit = 0;
+  for (int c = column - kWindowColumns / 2; c <= column + kWindowColumns / 2; ++c)
+    for (int r = kRows / 2 - kWindowRows / 2; r <= kRows / 2 + kWindowRows / 2; ++r)
+      lit += static_cast<double>(p.lit[static_cast<size_t>((c + kColumns) % kColumns * kRows + r)]) > least;
+  return static_cast<double>(lit) / (kWindowColumns * kWindowRows);
+}
+
 // A few steps ahead, as far as the floor allows.
 CameraPath walk(const Person& person, Vec3 eye, Vec3 direction, float reach) {
   const float most = std::min(0.3f * reach, 2.5f * person.eyeHeight()), step = 0.25f * person.eyeHeight();
@@ -298,7 +315,7 @@ float openness(const ViewScene& scene) {
   return area > 0 ? static_cast<float>(sky / area) : 0.0f;
 }
 
-CameraPath findPath(const ViewScene& scene) {
+CameraPath findPath(const ViewScene& scene, bool by_night) {
   const Walls walls(scene);
   const Person person(scene, walls);
   const Detail detail(scene, 2 * person.eyeHeight());
@@ -306,7 +323,7 @@ CameraPath findPath(const ViewScene& scene) {
   for (const uint32_t floor : floorsToTry(scene, detail)) {
     const auto eye = person.standOn(scene.patches[floor].centroid);
     if (!eye) continue;
-    Panorama around = lookAround(scene, walls, *eye);
+    Panorama around = lookAround(scene, walls, *eye, by_night);
     around.detail = detail.around(*eye);
     if (around.backs < 0.03) places.push_back(std::move(around));
   }
@@ -318,14 +335,16 @@ CameraPath findPath(const ViewScene& scene) {
     lights.push_back(p.light);
   }
   if (!lights.empty()) std::nth_element(lights.begin(), lights.begin() + static_cast<std::ptrdiff_t>(lights.size() / 2), lights.end());
-  const double usual_light = lights.empty() ? 0 : std::max(lights[lights.size() / 2], 1e-9);
+  // By night most places are dark: the mean is that of those that are not.
+  const double middle = lights.empty() ? 0 : by_night ? std::accumulate(lights.begin(), lights.end(), 0.0) / static_cast<double>(lights.size()) : lights[lights.size() / 2];
+  const double usual_light = std::max(middle, 1e-9);
   double best = 0;
   const Panorama* where = nullptr;
   int column = 0;
   for (const Panorama& p : places) {
     const double place = p.patches / max_patches * std::sqrt(p.detail / max_detail) * (0.05 + p.light / (p.light + usual_light));
     for (int c = 0; c < kColumns; ++c) {
-      const double score = place * pictureScore(scene, p, c, person.eyeHeight());
+      const double score = place * pictureScore(scene, p, c, person.eyeHeight()) * (by_night ? 0.05 + litShare(p, c, usual_light / 20) : 1);
       if (score <= best) continue;
       best = score;
       where = &p;

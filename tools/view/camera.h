@@ -40,7 +40,8 @@ runtime::Sky skyOf(Vec3 l0, Vec3 zenith);
 float openness(const ViewScene& scene);
 
 // A path of 6 s: a few steps at eye height (1.6 m, less in models smaller than a room) over a floor large enough to stand on, in
-// the lightest place with the most in view; where nobody can stand, an arc outside. Deterministic.
-CameraPath findPath(const ViewScene& scene);
+// the lightest place with the most in view; where nobody can stand, an arc outside. by_night: there is neither sun nor sky, and what counts
+// is what lamps light. Deterministic.
+CameraPath findPath(const ViewScene& scene, bool by_night = false);
 
 }  // namespace ff::view

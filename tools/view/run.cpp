@@ -226,7 +226,7 @@ Result<void> prepare(Flight& f, json& figures, const std::function<void(const st
       std::to_string(weld.position.size()) + " light vertices");
   figures["weld_ms"] = msSince(start);
   if (f.options.camera.empty()) {
-    f.camera = findPath(f.scene);
+    f.camera = findPath(f.scene, f.options.lamps_only);
   } else {
     auto camera = readCamera(f.options.camera, f.world.info().origin);
     if (!camera) return camera.error();

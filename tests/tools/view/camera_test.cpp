@@ -117,6 +117,30 @@ TEST_F(Camera, WalksOverAnOpenLandscapeAtEyeHeight) {
   EXPECT_GT(length(path.at(path.end()).eye - path.at(0).eye), 0.5f);
 }
 
+// Two yards that have the same in them; lamps light one of them.
+TEST_F(Camera, StandsByNightWhereLampsLightWhatIsInThePicture) {
+  for (const float lit_side : {-1.0f, 1.0f}) {
+    ViewScene scene;
+    addSheet(scene, {-60, 0, -20}, {0, 0, 40}, {120, 0, 0}, 40, 120);
+    for (const float side : {-1.0f, 1.0f})
+      for (int i = 0; i < 5; ++i) {
+        const float x = side * (20 + 6 * static_cast<float>(i));
+        addBox(scene, {x, 0, 4}, {x + 1, 2 + static_cast<float>(i % 3), 5}, 1, false);
+      }
+    scene.lamps.clear();
+    for (formats::Node& n : scene.patches) {
+      n.sky_fraction = 1;
+      n.albedo = {0.5f, 0.5f, 0.5f};
+      const float far = std::abs(n.centroid.x - lit_side * 32) / 10;
+      scene.lamps.push_back(Vec3{1, 1, 1} / (1 + far * far * far * far));
+    }
+    const CameraPath path = findPath(scene, true);
+    EXPECT_NEAR(path.at(0).eye.x, lit_side * 32, 16);
+    const Vec3 ahead = normalized(path.at(0).target - path.at(0).eye);
+    EXPECT_NEAR((path.at(0).eye + ahead * 8).x, lit_side * 32, 20);
+  }
+}
+
 // A furnished room with a flat roof, a cupboard that a person would fit into, a table, on a wide empty ground.
 TEST_F(Camera, StandsInTheFurnishedRoomNotOnItsRoofNorInACupboardNorOnATable) {
   for (const float turned : {0.0f, 1.0f}) {
