@@ -114,7 +114,7 @@ void loadBuffers(const Item& file, Container& container, Storage& storage, Budge
 
 // Images are read later and only where a surface shows them; here they become sources, textures and samplers.
 Json validateTextures(const Item& file, size_t view_count, std::vector<ImageSource>& images,
-                    std::vector<std::vector<uint32_t>>& texture_images, Json& samplers) {
+                      std::vector<std::vector<uint32_t>>& texture_images, Json& samplers) {
   for (const Item& item : file.items("images", "image")) {
     ImageSource source;
     if (const auto view = item.reference("bufferView", view_count, "bufferView")) source.view = static_cast<int>(*view);

@@ -46,10 +46,10 @@ struct MaterialFacts {
 Json validateAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
 // texture_count and material warnings: see document.h for what materials look like afterwards.
 Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
-                     std::vector<std::string>& warnings);
+                       std::vector<std::string>& warnings);
 Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
-                  size_t view_count, std::vector<std::string>& warnings);
+                    size_t view_count, std::vector<std::string>& warnings);
 Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
-                 std::vector<uint32_t>& roots);
+                   std::vector<uint32_t>& roots);
 
 }  // namespace ff::bake::gltf

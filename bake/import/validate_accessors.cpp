@@ -77,7 +77,7 @@ void checkSparseOrder(const Item& item, const Storage& storage, uint32_t view, u
 }
 
 Json validateSparse(const Item& item, const Item& sparse, const Storage& storage, const AccessorFacts& facts,
-                  uint64_t element, uint64_t component, bool* present) {
+                    uint64_t element, uint64_t component, bool* present) {
   const uint64_t n = count(sparse);
   if (n > facts.count)
     refuse(sparse.place(),

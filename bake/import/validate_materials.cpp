@@ -145,7 +145,7 @@ MaterialFacts readFacts(const Item& item, size_t texture_count, Warner& warn) {
 }  // namespace
 
 Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
-                     std::vector<std::string>& warnings) {
+                       std::vector<std::string>& warnings) {
   Warner warn(warnings);
   Json out = Json::array();
   for (const Item& item : file.items("materials", "material")) {

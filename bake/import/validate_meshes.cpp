@@ -35,7 +35,7 @@ bool isTexCoord(const std::string& name) {
 }
 
 Json validateDraco(const Item& item, const Item& draco, const Json& kept, const std::vector<AccessorFacts>& accessors,
-                 size_t view_count, uint64_t vertex_count, uint64_t index_count) {
+                   size_t view_count, uint64_t vertex_count, uint64_t index_count) {
   const auto view = draco.reference("bufferView", view_count, "bufferView");
   if (!view) refuse(draco.place(), "bufferView is missing");
   const auto ids = draco.object("attributes");
@@ -57,7 +57,7 @@ Json validateDraco(const Item& item, const Item& draco, const Json& kept, const 
 }  // namespace
 
 Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
-                  size_t view_count, std::vector<std::string>& warnings) {
+                    size_t view_count, std::vector<std::string>& warnings) {
   bool quantized = false;
   for (const char* list : {"extensionsUsed", "extensionsRequired"})
     if (file.has(list))

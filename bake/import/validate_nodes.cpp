@@ -68,7 +68,7 @@ void refuseCycles(const std::vector<uint32_t>& parent) {
 }  // namespace
 
 Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
-                 std::vector<uint32_t>& roots) {
+                   std::vector<uint32_t>& roots) {
   const auto items = file.items("nodes", "node");
   std::vector<uint32_t> parent(items.size(), kNoNode);
   Json out = Json::array();

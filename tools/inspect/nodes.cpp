@@ -177,9 +177,11 @@ Result<void> inspectRow(const World& world, const NodeName& node, const InspectO
   fmt::print(out.to, "node {} of {}\n", node.index, tileText(strip->tile));
   printNode(out.to, world, n);
   if (!top) fmt::print(out.to, "{:<14}{} {}\n", "parent", node.level + 1, textOf(parent()));
-  if (!children.empty()) fmt::print(out.to, "{:<14}{} {}", "children", node.level - 1, textOf(children[0]));
-  for (size_t k = 1; k < children.size(); ++k) fmt::print(out.to, " {}", children[k].index);
-  if (!children.empty()) fmt::print(out.to, "\n");
+  if (!children.empty()) {  // all of one tile
+    fmt::print(out.to, "{:<14}{} {} {}", "children", node.level - 1, textOf(children[0].tile.chunk), children[0].tile.tile);
+    for (const NodeName& child : children) fmt::print(out.to, " {}", child.index);
+    fmt::print(out.to, "\n");
+  }
   for (const LampLight& lamp : lampsOf(strip->strip, node.index))
     fmt::print(out.to, "{:<14}{} \"{}\": {:.6g} {:.6g} {:.6g} of its emission arrives\n", "lamp", lamp.group,
                groupName(world, lamp.group), lamp.weight.x, lamp.weight.y, lamp.weight.z);

@@ -188,7 +188,6 @@ std::vector<uint32_t> floorsToTry(const ViewScene& scene, const Detail& detail) 
 struct Panorama {
   Vec3 eye;
   std::vector<Hit> hits = std::vector<Hit>(size_t{kColumns} * kRows);  // by column, then row
-  std::vector<float> lit = {};  // by night, by ray: what the surface reflects of the lamps' light, W/m2
   double light = 0;    // that arrives there, roughly: what emits, what sees the sky; by night what lamps light
   double patches = 0;  // different ones in view
   double detail = 0;   // triangles around
@@ -199,10 +198,17 @@ struct Panorama {
   }
 };
 
+// What the surface that a ray meets reflects of the lamps' light, W/m2.
+double lampLight(const ViewScene& scene, const Hit& hit) {
+  if (!hit.any()) return 0;
+  const uint32_t patch = scene.triangle_patch[hit.triangle];
+  const Vec3 reflected = scene.patches[patch].albedo * scene.lamps[patch];
+  return static_cast<double>(std::max({reflected.x, reflected.y, reflected.z}));
+}
+
 Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye, bool by_night) {
   Panorama p;
   p.eye = eye;
-  if (by_night) p.lit.resize(p.hits.size());
   std::vector<uint32_t> seen;
   double weight = 0;
   for (int c = 0; c < kColumns; ++c)
@@ -221,9 +227,7 @@ Panorama lookAround(const ViewScene& scene, const Walls& walls, Vec3 eye, bool b
       seen.push_back(patch);
       const formats::Node& n = scene.patches[patch];
       if (by_night) {
-        const Vec3 reflected = n.albedo * scene.lamps[patch];
-        p.lit[static_cast<size_t>(c * kRows + r)] = std::max({reflected.x, reflected.y, reflected.z});
-        p.light += solid * static_cast<double>(p.lit[static_cast<size_t>(c * kRows + r)]);
+        p.light += solid * lampLight(scene, hit);
         continue;
       }
       const Vec3 emitted = n.emission;
@@ -269,11 +273,11 @@ double pictureScore(const ViewScene& scene, const Panorama& p, int column, float
 }
 
 // Share of a picture's rays that meet surface that is lit at least so much.
-double litShare(const Panorama& p, int column, double least) {
+double litShare(const ViewScene& scene, const Panorama& p, int column, double least) {
   int lit = 0;
   for (int c = column - kWindowColumns / 2; c <= column + kWindowColumns / 2; ++c)
     for (int r = kRows / 2 - kWindowRows / 2; r <= kRows / 2 + kWindowRows / 2; ++r)
-      lit += static_cast<double>(p.lit[static_cast<size_t>((c + kColumns) % kColumns * kRows + r)]) > least;
+      lit += lampLight(scene, p.at(c, r)) > least;
   return static_cast<double>(lit) / (kWindowColumns * kWindowRows);
 }
 
@@ -344,7 +348,7 @@ CameraPath findPath(const ViewScene& scene, bool by_night) {
   for (const Panorama& p : places) {
     const double place = p.patches / max_patches * std::sqrt(p.detail / max_detail) * (0.05 + p.light / (p.light + usual_light));
     for (int c = 0; c < kColumns; ++c) {
-      const double score = place * pictureScore(scene, p, c, person.eyeHeight()) * (by_night ? 0.05 + litShare(p, c, usual_light / 20) : 1);
+      const double score = place * pictureScore(scene, p, c, person.eyeHeight()) * (by_night ? 0.05 + litShare(scene, p, c, usual_light / 20) : 1);
       if (score <= best) continue;
       best = score;
       where = &p;
