@@ -1,20 +1,14 @@
 #include "runtime/updater.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <utility>
 
+#include "runtime/clock.h"
 #include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double msSince(Clock::time_point start) {
-  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-}
 
 // What is reflected, to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
 // ancestor's.

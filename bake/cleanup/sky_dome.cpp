@@ -52,7 +52,7 @@ double edgeUp(Vec3 a, Vec3 b) {
   return sine > 0 ? 0.5 * arcTangent(sine, static_cast<double>(dot(a, b))) * static_cast<double>(n.y) / sine : 0;
 }
 
-constexpr double kSeen = 0.4;    // of the sphere around a place; half of it is a dome that ends at the ground
+constexpr double kSkySeen = 0.4;    // of the sphere around a place; half of it is a dome that ends at the ground
 constexpr double kFrom = 0.9;    // of the places
 constexpr size_t kPlaces = 128;  // looked from
 constexpr double kBelow = 0.1;   // of the sphere: what fills more of it below than above is a ground
@@ -77,7 +77,7 @@ bool encloses(const Scene& scene, const std::vector<bool>& chosen, float times) 
       angle += solidAngle(from, scene.positions[v[0]], scene.positions[v[1]], scene.positions[v[2]]);
       for (size_t k = 0; k < 3; ++k) up += edgeUp(normalized(scene.positions[v[k]] - from), normalized(scene.positions[v[(k + 1) % 3]] - from));
     }
-    enclosed += std::abs(angle) >= kSeen * kSphere && std::copysign(up, up * angle) >= -kBelow * kSphere;
+    enclosed += std::abs(angle) >= kSkySeen * kSphere && std::copysign(up, up * angle) >= -kBelow * kSphere;
   }
   return static_cast<double>(enclosed) >= kFrom * static_cast<double>(kPlaces);
 }

@@ -8,7 +8,7 @@
 namespace ff::bake::gltf {
 namespace {
 
-const char* const kRemedy = "compress the mesh again";
+const char* const kCompressAgain = "compress the mesh again";
 
 uint64_t number(const tinygltf::Value& object, const char* key) {
   return static_cast<uint64_t>(object.Get(key).GetNumberAsDouble());
@@ -82,21 +82,21 @@ draco::Status decodeMesh(draco::DecoderBuffer& buffer, uint64_t max_bytes, draco
 Elements decodeAttribute(const draco::Mesh& mesh, const std::string& name, uint32_t id, bool normalized,
                          const std::string& place, Budget& budget) {
   const draco::PointAttribute* attribute = mesh.GetAttributeByUniqueId(id);
-  if (!attribute) refuse(place, name + ": the Draco data has no attribute with id " + std::to_string(id), kRemedy);
+  if (!attribute) refuse(place, name + ": the Draco data has no attribute with id " + std::to_string(id), kCompressAgain);
   const uint32_t components = name == "POSITION"  ? 3
                               : name == "COLOR_0" ? static_cast<uint32_t>(attribute->num_components())
                                                   : 2;
   if (static_cast<uint32_t>(attribute->num_components()) != components || components < (name == "COLOR_0" ? 3 : 2) || components > 4)
     refuse(place, name + ": the Draco attribute has " + std::to_string(attribute->num_components()) + " components",
-           kRemedy);
+           kCompressAgain);
   budget.take(uint64_t{mesh.num_points()} * components * sizeof(float), place);
   std::vector<float> values(size_t{mesh.num_points()} * components);
   for (uint32_t p = 0; p < mesh.num_points(); ++p) {
     const draco::AttributeValueIndex value = attribute->mapped_index(draco::PointIndex(p));
     if (value.value() >= attribute->size())
-      refuse(place, name + ": Draco vertex " + std::to_string(p) + " has no value", kRemedy);
+      refuse(place, name + ": Draco vertex " + std::to_string(p) + " has no value", kCompressAgain);
     if (!attribute->ConvertValue<float>(value, static_cast<int8_t>(components), &values[size_t{p} * components]))
-      refuse(place, name + ": the Draco attribute cannot be read as numbers", kRemedy);
+      refuse(place, name + ": the Draco attribute cannot be read as numbers", kCompressAgain);
   }
   // What the accessor says counts; Draco's own flag, where it is set, has been followed already.
   if (normalized && !attribute->normalized()) {
@@ -125,12 +125,12 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
     refuse(place,
            "Draco header: " + std::to_string(header.vertices) + " vertices for " + std::to_string(header.faces) +
                " triangles",
-           kRemedy);
+           kCompressAgain);
   if (mode == 4 && index_count && header.known && header.faces * 3 != index_count)
     refuse(place,
            "the index accessor counts " + std::to_string(index_count) + ", the Draco data holds " +
                std::to_string(header.faces) + " triangles",
-           kRemedy);
+           kCompressAgain);
 
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(bytes.data), bytes.size);
@@ -138,7 +138,7 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
   uint64_t attribute_bytes = 0;
   const draco::Status decoded = decodeMesh(buffer, budget.left(), mesh, attribute_bytes);
   budget.take(attribute_bytes, place);  // refuses what was too much
-  if (!decoded.ok()) refuse(place, "Draco: " + printable(decoded.error_msg_string()), kRemedy);
+  if (!decoded.ok()) refuse(place, "Draco: " + printable(decoded.error_msg_string()), kCompressAgain);
 
   DracoMesh out;
   out.vertex_count = mesh.num_points();
@@ -146,7 +146,7 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
     refuse(place,
            "the accessors count " + std::to_string(vertex_count) + " vertices, the Draco data holds " +
                std::to_string(out.vertex_count),
-           kRemedy);
+           kCompressAgain);
   out.triangles.reserve(mesh.num_faces());
   for (uint32_t f = 0; f < mesh.num_faces(); ++f) {
     const draco::Mesh::Face& face = mesh.face(draco::FaceIndex(f));
@@ -157,7 +157,7 @@ DracoMesh decodeDraco(const Document& document, const tinygltf::Value& extension
         refuse(place,
                "Draco triangle " + std::to_string(f) + " refers to vertex " + std::to_string(triangle[k]) + " of " +
                    std::to_string(out.vertex_count),
-               kRemedy);
+               kCompressAgain);
     }
     out.triangles.push_back(triangle);
   }

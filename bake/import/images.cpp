@@ -9,8 +9,7 @@
 namespace ff::bake::gltf {
 namespace {
 
-constexpr uint64_t kLargestFile = uint64_t{1} << 30;
-const char* const kRemedy = "a stand-in takes its place";
+const char* const kStandInRemedy = "a stand-in takes its place";
 
 Pictures::Means meansOf(const Image& image) {
   std::array<std::array<uint64_t, 256>, 4> histogram{};
@@ -41,7 +40,7 @@ Pictures::Source Pictures::open(uint32_t image) {
     if (from.uri.empty()) refuse(out.place, "names no picture");
     out.owned = isDataUri(from.uri)
                     ? decodeDataUri(from.uri, out.place, budget_)
-                    : readFile(resolveUri(from.uri, document_.folder, out.place), kLargestFile, out.place, budget_);
+                    : readFile(resolveUri(from.uri, document_.folder, out.place), kMaxPictureBytes, out.place, budget_);
     budget_.give(out.owned.size());
     out.bytes = {out.owned.data(), out.owned.size()};
   }
@@ -60,7 +59,7 @@ Image Pictures::decode(const Source& source) {
 template <class Value, class Make>
 std::optional<Value> Pictures::firstOf(int texture, std::map<Key, Value>& known, const Make& make) {
   const std::vector<uint32_t>& images = document_.texture_images[static_cast<size_t>(texture)];
-  std::string line = "texture " + std::to_string(texture) + ": names no image; " + kRemedy;
+  std::string line = "texture " + std::to_string(texture) + ": names no image; " + kStandInRemedy;
   for (const uint32_t image : images) {
     std::optional<Error> error;
     if (const auto key = keys_.find(image); key != keys_.end()) {
@@ -83,7 +82,7 @@ std::optional<Value> Pictures::firstOf(int texture, std::map<Key, Value>& known,
     }
     if (image != images.front()) continue;
     error->place = "image " + std::to_string(image);
-    error->remedy = kRemedy;
+    error->remedy = kStandInRemedy;
     line = error->line();
   }
   // Once a texture without images, an image that is not there, or a picture, whatever images name it.

@@ -33,7 +33,6 @@ void* limitedReallocate(void* p, size_t bytes) {
 namespace ff::bake::gltf {
 namespace {
 
-constexpr uint64_t kLargestFile = uint64_t{1} << 30;  // the decoders count in int
 // What a byte of a file can come to. DEFLATE: RFC 1951, 258 bytes for 2 bits. JPEG: a block of 64 samples takes 2 bits in
 // a sequential scan, less in a progressive one, and may stand for four pixels a sample.
 constexpr uint64_t kMaxInflated = 1032, kMaxJpegPixels = 4096;
@@ -138,7 +137,7 @@ Format readable(const Bytes& bytes, const std::string& place) {
   const Signature* signature = signatureOf(bytes);
   if (!signature || signature->format == Format::kOther)
     refuse(place, std::string("a picture in ") + pictureFormat(bytes) + ", none of PNG, JPEG and WebP");
-  if (bytes.size > kLargestFile) refuse(place, "larger than 1 GiB");
+  if (bytes.size > kMaxPictureBytes) refuse(place, "larger than 1 GiB");
   return signature->format;
 }
 

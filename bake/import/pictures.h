@@ -7,6 +7,8 @@
 
 namespace ff::bake::gltf {
 
+inline constexpr uint64_t kMaxPictureBytes = uint64_t{1} << 30;  // the decoders count in int
+
 // What the bytes are by their first ones: "PNG", "JPEG", "WebP", "KTX2", "DDS", ..., "an unknown format".
 const char* pictureFormat(const Bytes& bytes);
 

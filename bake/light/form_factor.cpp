@@ -25,7 +25,7 @@ struct Scratch {
   SightMap sight;
 };
 
-struct Part {
+struct GroupHits {
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
 };
@@ -69,7 +69,7 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.sky_means.assign(n, {});
   rows.lamps.assign(n, {});
   rows.narrow.assign(n, 0);
-  std::vector<Part> parts(groups);
+  std::vector<GroupHits> parts(groups);
   tbb::enumerable_thread_specific<Scratch> scratch([&] {
     return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kMaxTogether),
                    LampLight(scene, set, caster, lamps, rays, seed), {}};

@@ -10,7 +10,7 @@ namespace {
 
 constexpr float kSmall = 0.35f;  // radius over distance: from there on a branch is sampled as one
 
-float luminance(Vec3 c) { return 0.2126f * c.x + 0.7152f * c.y + 0.0722f * c.z; }  // Rec. ITU-R BT.709
+float luminanceOf(Vec3 c) { return 0.2126f * c.x + 0.7152f * c.y + 0.0722f * c.z; }  // Rec. ITU-R BT.709
 
 float sineOf(float cosine) { return std::sqrt(std::max(0.0f, 1 - cosine * cosine)); }
 
@@ -54,7 +54,7 @@ Receiver receiverOf(const PatchSet& set, uint32_t patch) {
 LampTree::LampTree(const PatchSet& set) : set_(set), leaf_of_(set.patches.size(), kNone) {
   std::vector<uint32_t> emitters;
   for (uint32_t p = 0; p < set.patches.size(); ++p)
-    if (set.patches[p].emits() && luminance(set.patches[p].emission) > 0) emitters.push_back(p);
+    if (set.patches[p].emits() && luminanceOf(set.patches[p].emission) > 0) emitters.push_back(p);
   if (emitters.empty()) return;
   cumulative_m2_.resize(set.triangles.size());
   nodes_.reserve(2 * emitters.size());
@@ -74,7 +74,7 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
     for (uint32_t t = p.first_triangle; t < p.first_triangle + p.triangles; ++t)
       cumulative_m2_[t] = node.area_m2 += areaOf(set_.triangles[t]);
     node.area_m2 = std::max(node.area_m2, 1e-30f);
-    node.power = node.area_m2 * luminance(p.emission);
+    node.power = node.area_m2 * luminanceOf(p.emission);
     return at;
   }
   const uint32_t left = build(emitters.first(emitters.size() / 2), at);

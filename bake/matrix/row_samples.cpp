@@ -17,11 +17,11 @@ constexpr uint32_t kSunPoints = 8;   // of a patch
 constexpr float kSunOverSky = 3.5f;  // on a patch that faces it, of an open, level patch's skylight: a clear day
 // The suns stand 30 degrees high, so that they shine through windows and between the slats of blinds (from 45 degrees none
 // shines into the dining room), and 20 degrees off the axes, which most walls follow.
-constexpr float kUp = 0.5f, kAlong = 0.8137977f, kAcross = 0.2961981f;
+constexpr float kSunUp = 0.5f, kSunAlong = 0.8137977f, kSunAcross = 0.2961981f;
 
 // Towards each; zero: there is none.
 std::array<Vec3, kSuns> sunsOf(const Scene& scene) {
-  std::array<Vec3, kSuns> suns{{{kAlong, kUp, kAcross}, {-kAcross, kUp, kAlong}, {-kAlong, kUp, -kAcross}, {kAcross, kUp, -kAlong}}};
+  std::array<Vec3, kSuns> suns{{{kSunAlong, kSunUp, kSunAcross}, {-kSunAcross, kSunUp, kSunAlong}, {-kSunAlong, kSunUp, -kSunAcross}, {kSunAcross, kSunUp, -kSunAlong}}};
   float brightest = 0;
   for (const formats::Light& light : scene.lights) {
     const Vec3 irradiance = light.color_intensity;

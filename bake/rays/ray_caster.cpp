@@ -16,7 +16,6 @@ namespace ff::bake {
 namespace {
 
 constexpr size_t kWide = TriangleBlock::kTriangles;
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // Embree's test of boxes differs between instruction sets. It works axis by axis with a reciprocal of the direction that is an estimate and
 // one step of Newton's (right to 2^-21.6 of itself), and rounds what is at most twice as large as the coordinate of box or origin. So it

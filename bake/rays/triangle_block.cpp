@@ -5,7 +5,6 @@
 namespace ff::bake {
 namespace {
 
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
 // Let u = 2^-24, e the cosine to the normal, p the triangle's largest coordinate, o the origin's. A distance along the ray of at most
 // sqrt(3) (o + p) errs by 4 u / e of itself for e's errors and by 3 u for its own; 4 sqrt(3) u o / e and sqrt(3) u p / e come from the
 // distance to the plane. As e is above 64 u (level, in mayMeet), 7 % more covers its own error: together 1.22e-6 o / e + 0.89e-6 p / e.

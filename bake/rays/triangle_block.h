@@ -3,10 +3,14 @@
 #pragma once
 #include <xmmintrin.h>
 
+#include <limits>
+
 #include "bake/scene.h"
 #include "bake/rays/triangle_hit.h"
 
 namespace ff::bake {
+
+inline constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 struct alignas(64) TriangleBlock {
   static constexpr size_t kTriangles = 4;

@@ -10,7 +10,7 @@
 namespace ff::bake {
 namespace {
 
-constexpr float kRounding = 1e-3f;  // of a lattice's spacing
+constexpr float kOffLattice = 1e-3f;  // of a lattice's spacing
 
 // A multiple or a whole part of the spacing.
 double alignedWith(float lattice, double cell) {
@@ -33,10 +33,10 @@ float latticeOf(const Scene& scene, float finest_m) {
   at.erase(std::unique(at.begin(), at.end()), at.end());
   float spacing = at.empty() ? 0 : at.back();
   for (size_t i = 1; i < at.size(); ++i)
-    if (const float gap = at[i] - at[i - 1]; gap > kRounding * finest_m) spacing = std::min(spacing, gap);
+    if (const float gap = at[i] - at[i - 1]; gap > kOffLattice * finest_m) spacing = std::min(spacing, gap);
   if (!(spacing >= finest_m)) return 0;
   const bool all = std::all_of(at.begin(), at.end(), [&](float x) {
-    return std::abs(x - spacing * std::round(x / spacing)) <= kRounding * spacing;
+    return std::abs(x - spacing * std::round(x / spacing)) <= kOffLattice * spacing;
   });
   return all ? spacing : 0;
 }

@@ -14,6 +14,8 @@ inline constexpr uint32_t kStripMagic = 0x54534646;             // "FFST"
 inline constexpr uint32_t kGeometryMagic = 0x4d474646;          // "FFGM"
 inline constexpr uint32_t kChunkMagic = 0x48434646;             // "FFCH"
 
+inline constexpr int kZstdLevel = 3;  // of strips and manifest
+
 inline constexpr uint32_t kKindRows = 0;
 inline constexpr uint32_t kKindGeometry = 1;
 inline constexpr uint32_t kKindIndex = 2;

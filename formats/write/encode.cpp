@@ -8,7 +8,6 @@
 namespace ff::formats {
 namespace {
 
-constexpr int kZstdLevel = 3;
 
 }  // namespace
 

@@ -18,6 +18,9 @@ namespace ff::runtime {
 struct Vec4 {
   float x = 0, y = 0, z = 0, w = 0;
 };
+// Of three channels; w is 0.
+inline Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
+inline Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
 inline constexpr uint32_t kRowPadding = 8;    // entries: what a vector loop takes at once

@@ -3,8 +3,6 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kP = kPanelRows;
-
 float load(const float* p) { return *p; }
 float load(const Half* p) { return toFloat(*p); }
 void store(float* p, float value) { *p = value; }
@@ -14,13 +12,13 @@ template <class Element>
 void addProduct(const float* a, uint32_t k, const float* b, Element* matrix, size_t column_stride, uint32_t row_begin,
                 uint32_t row_end, uint32_t columns) {
   for (uint32_t column = 0; column < columns; ++column)
-    for (uint32_t row = row_begin; row < row_end; row += kP) {
+    for (uint32_t row = row_begin; row < row_end; row += kPanelRows) {
       const float* panel = a + panelIndex(row, 0);
-      float sum[kP] = {};
+      float sum[kPanelRows] = {};
       for (uint32_t p = 0; p < k; ++p)
-        for (uint32_t i = 0; i < kP; ++i) sum[i] += panel[p * kP + i] * b[size_t{column} * kFactorStride + p];
+        for (uint32_t i = 0; i < kPanelRows; ++i) sum[i] += panel[p * kPanelRows + i] * b[size_t{column} * kFactorStride + p];
       Element* at = matrix + column * column_stride + row;
-      for (uint32_t i = 0; i < kP; ++i) store(at + i, load(at + i) + sum[i] * kStoredScale<Element>);
+      for (uint32_t i = 0; i < kPanelRows; ++i) store(at + i, load(at + i) + sum[i] * kStoredScale<Element>);
     }
 }
 
@@ -43,22 +41,22 @@ void addColumns3(const Element* matrix, size_t column_stride, uint32_t row_begin
 template <class Element>
 void gatherColumns(const Element* matrix, size_t column_stride, uint32_t row_begin, uint32_t row_end,
                    const SparseVectors& v, float* out) {
-  for (uint32_t row = row_begin; row < row_end; row += kP)
+  for (uint32_t row = row_begin; row < row_end; row += kPanelRows)
     for (uint32_t p = 0; p < v.k; ++p) {
-      float sum[kP] = {};
+      float sum[kPanelRows] = {};
       for (uint32_t e = v.start[p]; e < v.start[p + 1]; ++e) {
         const Element* column = matrix + v.index[e] * column_stride + row;
         const float factor = v.value[e] * v.weight[v.index[e]] / kStoredScale<Element>;
-        for (uint32_t i = 0; i < kP; ++i) sum[i] += load(column + i) * factor;
+        for (uint32_t i = 0; i < kPanelRows; ++i) sum[i] += load(column + i) * factor;
       }
-      for (uint32_t i = 0; i < kP; ++i) out[panelIndex(row + i, p)] = sum[i];
+      for (uint32_t i = 0; i < kPanelRows; ++i) out[panelIndex(row + i, p)] = sum[i];
     }
 }
 
 template <class Element>
 void gatherRows(const Element* matrix, size_t column_stride, uint32_t first_column, const uint32_t*, uint32_t,
                 const SparseVectors& v, float*, float* out) {
-  for (uint32_t column = first_column; column < first_column + kP; ++column)
+  for (uint32_t column = first_column; column < first_column + kPanelRows; ++column)
     for (uint32_t p = 0; p < v.k; ++p) {
       float sum = 0;
       for (uint32_t e = v.start[p]; e < v.start[p + 1]; ++e)

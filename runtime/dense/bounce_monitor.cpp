@@ -6,7 +6,7 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kFrames = 16, kRows = 8;
+constexpr uint32_t kFrames = 16, kRowPhases = 8;
 
 }  // namespace
 
@@ -29,7 +29,7 @@ void BounceMonitor::draw(const CutPlaces& places) {
   drawn_.clear();
   sampled_.clear();
   x_.clear();
-  const uint32_t row_phase = static_cast<uint32_t>(random_ >> 33) % kRows;
+  const uint32_t row_phase = static_cast<uint32_t>(random_ >> 33) % kRowPhases;
   const std::span<const uint32_t> slots = places.slots();
   for (uint32_t p = 0, n = 0; p < slots.size(); ++p) {
     if (slots[p] == kNoSlot) continue;
@@ -37,7 +37,7 @@ void BounceMonitor::draw(const CutPlaces& places) {
       drawn_.push_back(p);
       x_.push_back({random(), random(), random(), 0});
     }
-    if (n++ / kFrames % kRows == row_phase) sampled_.push_back(slots[p]);
+    if (n++ / kFrames % kRowPhases == row_phase) sampled_.push_back(slots[p]);
   }
 }
 

@@ -7,7 +7,6 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kB = kMaxBlock, kP = kPanelRows;
 // Rows of the matrix that a part of a task takes: gathers keep a tile's columns in the second-level cache; in the pass
 // the tall factor's rows (512 KiB) stay there while columns stream by.
 constexpr uint32_t kGatherRows = 128, kLightRows = 512, kLightColumns = 256, kPassRows = 1024, kPassColumns = 192;
@@ -25,8 +24,8 @@ float stored(Half from) { return toFloat(from) / kHalfScale; }
 template <class Element>
 BouncePlanes<Element>::BouncePlanes(uint32_t places, uint32_t channels, WorkerPool& pool)
     : pool_(pool),
-      rows_(roundUp(places, kP)),
-      stride_(rows_ + kP),  // no power of two: columns would share the same few sets of the caches
+      rows_(roundUp(places, kPanelRows)),
+      stride_(rows_ + kPanelRows),  // no power of two: columns would share the same few sets of the caches
       planes_(channels),
       scratch_(static_cast<size_t>(pool.threads())),
       scratch_taken_(static_cast<size_t>(pool.threads())) {
@@ -36,10 +35,10 @@ BouncePlanes<Element>::BouncePlanes(uint32_t places, uint32_t channels, WorkerPo
     p.tall.assign(size_t{rows_} * kMaxRank, 0);
     p.wide.assign(size_t{rows_} * kFactorStride, 0);
     p.rows.assign(size_t{rows_} * kFactorStride, 0);
-    p.left.assign(size_t{kB} * kMaxRank, 0);
-    p.right.assign(size_t{kB} * kFactorStride, 0);
+    p.left.assign(size_t{kMaxBlock} * kMaxRank, 0);
+    p.right.assign(size_t{kMaxBlock} * kFactorStride, 0);
   }
-  for (auto& s : scratch_) s.assign(size_t{rows_} * kP, 0);
+  for (auto& s : scratch_) s.assign(size_t{rows_} * kPanelRows, 0);
   order_.assign(rows_, kNotEntering);
   blocks_.assign(rows_ / 8, 0);
   block_used_.assign(rows_ / 8, 0);
@@ -53,7 +52,7 @@ bool BouncePlanes<Element>::allocated() const {
 
 template <class Element>
 uint32_t BouncePlanes<Element>::usedRows() const {
-  return roundUp(used_, kP);
+  return roundUp(used_, kPanelRows);
 }
 
 // Calls task(plane, part) for the parts of each plane.
@@ -132,7 +131,7 @@ void BouncePlanes<Element>::gather(const EnteringBlock& block) {
         if (order_[place] != kNotEntering) continue;
         const float factor = block.row_values[e] * p.albedo[place];
         const float* tall = &p.tall[panelIndex(place, 0)];
-        for (uint32_t i = 0; i < rank_; ++i) left[i] += factor * tall[size_t{i} * kP];
+        for (uint32_t i = 0; i < rank_; ++i) left[i] += factor * tall[size_t{i} * kPanelRows];
       }
       for (uint32_t i = 0; i < rank_; ++i) p.left[panelIndex(r, i)] = left[i];
     });
@@ -148,11 +147,11 @@ void BouncePlanes<Element>::gather(const EnteringBlock& block) {
   uint32_t blocks = 0;
   for (uint32_t b = 0; b < rows / 8; ++b)
     if (block_used_[b]) blocks_[blocks++] = b;
-  forParts(rows / kP, [&](Plane& p, uint32_t part) {
+  forParts(rows / kPanelRows, [&](Plane& p, uint32_t part) {
     uint32_t own = 0;  // there is a scratch per thread, so one is free
     while (scratch_taken_[own].test_and_set(std::memory_order_acquire))
       own = (own + 1) % static_cast<uint32_t>(scratch_.size());
-    kernels_.gatherRows(p.matrix.data(), stride_, part * kP, blocks_.data(), blocks,
+    kernels_.gatherRows(p.matrix.data(), stride_, part * kPanelRows, blocks_.data(), blocks,
                         {k, block.row_start.data(), block.columns.data(), block.row_values.data(), p.albedo.data()},
                         scratch_[own].data(), p.rows.data());
     scratch_taken_[own].clear(std::memory_order_release);
@@ -172,8 +171,8 @@ void BouncePlanes<Element>::gather(const EnteringBlock& block) {
 template <class Element>
 void BouncePlanes<Element>::addPendingToTall(Plane& p, uint32_t begin, uint32_t end, uint32_t k) {
   if (rank_ == 0) return;
-  for (uint32_t row = begin; row < end; row += kP)
-    product_(&p.tall[panelIndex(row, 0)], rank_, p.right.data(), &p.tall[panelIndex(row, rank_)], kP, 0, kP, k);
+  for (uint32_t row = begin; row < end; row += kPanelRows)
+    product_(&p.tall[panelIndex(row, 0)], rank_, p.right.data(), &p.tall[panelIndex(row, rank_)], kPanelRows, 0, kPanelRows, k);
 }
 
 // k of `rows` += `left` times the pending ones of `wide`.
@@ -182,7 +181,7 @@ void BouncePlanes<Element>::addPendingToRows(uint32_t k) {
   if (rank_ == 0) return;
   forRows([&](Plane& p, uint32_t begin, uint32_t end) {
     product_(p.left.data(), rank_, &p.wide[size_t{begin} * kFactorStride], &p.rows[size_t{begin} * kFactorStride],
-             kFactorStride, 0, roundUp(k, kP), end - begin);
+             kFactorStride, 0, roundUp(k, kPanelRows), end - begin);
   });
 }
 
@@ -199,7 +198,7 @@ void BouncePlanes<Element>::solve(const EnteringBlock& block) {
       if (order_[place] != kNotEntering) continue;
       const double factor = static_cast<double>(block.row_values[e]) * static_cast<double>(plane.albedo[place]);
       const float* u = &plane.tall[panelIndex(place, rank_)];
-      for (uint32_t p = 0; p < k; ++p) s[p] += factor * static_cast<double>(u[size_t{p} * kP]);
+      for (uint32_t p = 0; p < k; ++p) s[p] += factor * static_cast<double>(u[size_t{p} * kPanelRows]);
     }
     for (uint32_t p = 0; p < k; ++p) carried += s[p] * static_cast<double>(plane.albedo[block.places[p]]);
     plane.carried[r] = carried;
@@ -248,10 +247,10 @@ void BouncePlanes<Element>::writeColumns(std::span<const uint32_t> places) {
       kernels_.addProduct(&p.tall[panelIndex(0, rank_)], k, &p.right[size_t{j} * kFactorStride],
                           p.matrix.data() + places[j] * stride_, stride_, begin, end, run);
     }
-    for (uint32_t row = begin; row < end; row += kP)
+    for (uint32_t row = begin; row < end; row += kPanelRows)
       for (uint32_t j = 0; j < k; ++j) {
         float* u = &p.tall[panelIndex(row, rank_ + j)];
-        for (uint32_t i = 0; i < kP; ++i) u[i] *= p.albedo[places[j]];
+        for (uint32_t i = 0; i < kPanelRows; ++i) u[i] *= p.albedo[places[j]];
       }
   });
   for (Plane& p : planes_)
@@ -265,7 +264,7 @@ void BouncePlanes<Element>::writeColumns(std::span<const uint32_t> places) {
 // The next k of `wide` = K rows.
 template <class Element>
 void BouncePlanes<Element>::makeWide(uint32_t k) {
-  const uint32_t padded = roundUp(k, kP);
+  const uint32_t padded = roundUp(k, kPanelRows);
   for (Plane& p : planes_)
     for (uint32_t j = 0; j < k; ++j)
       for (uint32_t i = 0; i < padded; ++i) p.left[panelIndex(i, j)] = i < k ? static_cast<float>(p.k(i, j)) : 0.0f;
@@ -397,10 +396,10 @@ void BouncePlanes<Element>::multiply(std::span<const uint32_t> columns, const fl
       const float* sum = partial(c, chunk);
       for (uint32_t row = begin; row < end; ++row) out[c][row] += sum[row];
     }
-    for (uint32_t row = begin; row < end; row += kP)
+    for (uint32_t row = begin; row < end; row += kPanelRows)
       for (uint32_t j = 0; j < k; ++j) {
         const float* u = &planeOf(c).tall[panelIndex(row, j)];
-        for (uint32_t i = 0; i < kP; ++i) out[c][row + i] += u[i] * pending_light_[c][j];
+        for (uint32_t i = 0; i < kPanelRows; ++i) out[c][row + i] += u[i] * pending_light_[c][j];
       }
   });
 }

@@ -2,13 +2,13 @@
 // clock.
 #pragma once
 #include <algorithm>
-#include <chrono>
 #include <cstring>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "runtime/clock.h"
 #include "runtime/dense/page_memory.h"
 #include "runtime/dense/places.h"
 
@@ -96,9 +96,6 @@ class CpuBaseline : public BounceMatrix {
   std::vector<Vec4> colour_;  // per place, 0 where free
 
  private:
-  using Clock = std::chrono::steady_clock;
-  static double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
-
   BounceStats stats_;
 };
 

@@ -1,23 +1,18 @@
 #include "runtime/dense/cpu_multibounce.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <string>
 #include <vector>
 
+#include "runtime/clock.h"
 #include "runtime/dense/bounce_planes.h"
 #include "runtime/dense/places.h"
 
 namespace ff::runtime {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-constexpr uint32_t kB = kMaxBlock;
-
 float channelOf(const Vec4& v, uint32_t c) { return c == 0 ? v.x : c == 1 ? v.y : v.z; }
-double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 Error refusal(std::string message) {
   return Error{ErrorCode::kInvalidFile, "", "", std::move(message), "store fp32, or use the gather solver"};
 }
@@ -56,7 +51,7 @@ class CpuMultibounce final : public BounceMatrix {
     const auto start = Clock::now();
     const auto k = static_cast<uint32_t>(block.places.size());
     FF_CHECK_LT(0u, k);
-    FF_CHECK_LE(k, kB);
+    FF_CHECK_LE(k, kMaxBlock);
     if (!hasValidFormFactors(block)) return refusal("a form factor is not a finite number >= 0");
     row_sum_before_ = row_sum_;
     take(block);
@@ -75,8 +70,8 @@ class CpuMultibounce final : public BounceMatrix {
 
   Result<void> remove(std::span<const uint32_t> places) override {
     const auto start = Clock::now();
-    for (size_t first = 0; first < places.size(); first += kB) {
-      const auto some = places.subspan(first, std::min<size_t>(kB, places.size() - first));
+    for (size_t first = 0; first < places.size(); first += kMaxBlock) {
+      const auto some = places.subspan(first, std::min<size_t>(kMaxBlock, places.size() - first));
       for (uint32_t i = 0; i < some.size(); ++i) {
         FF_CHECK_EQ(places_.taken(some[i]), true);
         for (uint32_t c = 0; c < planes_.channels(); ++c)
@@ -214,7 +209,7 @@ class CpuMultibounce final : public BounceMatrix {
         lowered_places_[lowered++] = place;
         setAlbedo(place, colour);
       }
-      if (lowered == kB || (lowered > 0 && e + 1 == block.receivers.size())) {
+      if (lowered == kMaxBlock || (lowered > 0 && e + 1 == block.receivers.size())) {
         if (!planes_.change({lowered_places_.data(), lowered}, change_, /*leave=*/false))
           return refusal("the matrix has lost its precision");
         lowered = 0;
@@ -262,7 +257,7 @@ class CpuMultibounce final : public BounceMatrix {
   std::vector<uint32_t> columns_, changed_at_;
   std::vector<float> factors_[3], light_[3];
   typename BouncePlanes<Element>::Change change_;
-  std::array<uint32_t, kB> lowered_places_;
+  std::array<uint32_t, kMaxBlock> lowered_places_;
   BounceStats stats_;
   std::string name_;
 };

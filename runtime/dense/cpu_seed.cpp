@@ -10,10 +10,8 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kColumns = 64, kRows = 256, kChunk = 256;  // of a part of a task
+constexpr uint32_t kTaskColumns = 64, kTaskRows = 256, kChunk = 256;  // of a part of a task
 
-Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
-Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 Half4 toHalf4(const Vec4& v) { return {toHalf(v.x), toHalf(v.y), toHalf(v.z), {}}; }
 
 class CpuSeed final : public CpuBaseline<Half4> {
@@ -34,8 +32,8 @@ class CpuSeed final : public CpuBaseline<Half4> {
 
   void addLight(std::span<const uint32_t> places, std::span<const Vec4> difference, std::span<Vec4> irradiance) override {
     std::fill_n(col_.begin(), usedRows(), Vec4{});
-    pool_.run((usedRows() + kRows - 1) / kRows, [&](uint32_t part) {
-      const uint32_t begin = part * kRows, end = std::min(begin + kRows, usedRows());
+    pool_.run((usedRows() + kTaskRows - 1) / kTaskRows, [&](uint32_t part) {
+      const uint32_t begin = part * kTaskRows, end = std::min(begin + kTaskRows, usedRows());
       for (size_t i = 0; i < places.size(); ++i)
         if (places_.taken(places[i]))
           kernels_.multiply(column(places[i]), stride_, begin, end, 1, &difference[i], col_.data());
@@ -56,8 +54,8 @@ class CpuSeed final : public CpuBaseline<Half4> {
       kernels_.multiply(column(first), stride_, 0, rows, std::min(kChunk, places_.used() - first),
                         &factor[first], sum);
     });
-    pool_.run((rows + kRows - 1) / kRows, [&](uint32_t part) {
-      const uint32_t begin = part * kRows, end = std::min(begin + kRows, rows);
+    pool_.run((rows + kTaskRows - 1) / kTaskRows, [&](uint32_t part) {
+      const uint32_t begin = part * kTaskRows, end = std::min(begin + kTaskRows, rows);
       std::fill(out.begin() + begin, out.begin() + end, Vec4{});
       for (uint32_t chunk = 0; chunk < chunks; ++chunk)
         for (uint32_t i = begin; i < end; ++i) out[i] = out[i] + partial_[size_t{chunk} * rows_ + i];
@@ -89,8 +87,8 @@ class CpuSeed final : public CpuBaseline<Half4> {
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_col_[i] + g_col_[i]);
     multiply(weighted_, col_);  // (3)
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = colour_[i] * (f_row_[i] + g_row_[i]);
-    pool_.run((places_.used() + kColumns - 1) / kColumns, [&](uint32_t part) {
-      kernels_.multiplyLeft(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, places_.used()),
+    pool_.run((places_.used() + kTaskColumns - 1) / kTaskColumns, [&](uint32_t part) {
+      kernels_.multiplyLeft(matrix_.data(), stride_, rows, part * kTaskColumns, std::min((part + 1) * kTaskColumns, places_.used()),
                             weighted_.data(), row_.data());
     });
     for (uint32_t i = 0; i < rows; ++i) {  // (4)
@@ -98,8 +96,8 @@ class CpuSeed final : public CpuBaseline<Half4> {
       row_[i] = row_[i] + g_row_[i] + f_row_[i];
     }
     for (uint32_t i = 0; i < rows; ++i) weighted_[i] = rho * row_[i];
-    pool_.run((places_.used() + kColumns - 1) / kColumns, [&](uint32_t part) {  // (5)
-      kernels_.addOuter(matrix_.data(), stride_, rows, part * kColumns, std::min((part + 1) * kColumns, places_.used()),
+    pool_.run((places_.used() + kTaskColumns - 1) / kTaskColumns, [&](uint32_t part) {  // (5)
+      kernels_.addOuter(matrix_.data(), stride_, rows, part * kTaskColumns, std::min((part + 1) * kTaskColumns, places_.used()),
                         col_.data(), weighted_.data());
     });
     for (uint32_t i = 0; i < places_.used(); ++i) {  // (6)

@@ -1,21 +1,17 @@
 #include "runtime/dense/dense_solver.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <utility>
 #include <vector>
 
+#include "runtime/clock.h"
 #include "runtime/dense/bounce_monitor.h"
 #include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
-Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 
 class Dense final : public DenseSolver {
  public:
@@ -109,7 +105,7 @@ class Dense final : public DenseSolver {
     compose();
     if (settings_.correct)
       if (auto probed = probe(); !probed) return probed;
-    last_ms_ = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+    last_ms_ = msSince(start);
     return {};
   }
 

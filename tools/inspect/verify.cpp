@@ -14,9 +14,9 @@ namespace {
 constexpr size_t kMaxFindings = 20;  // printed of each kind; all are counted
 
 // One line on a terminal, nothing elsewhere.
-class Progress {
+class VerifyBar {
  public:
-  explicit Progress(bool quiet) : shown_(!quiet && isatty(STDERR_FILENO) == 1) {}
+  explicit VerifyBar(bool quiet) : shown_(!quiet && isatty(STDERR_FILENO) == 1) {}
   void operator()(double fraction) {
     const auto now = std::chrono::steady_clock::now();
     if (!shown_ || now - last_ < std::chrono::milliseconds(200)) return;
@@ -24,7 +24,7 @@ class Progress {
     const double seconds = std::chrono::duration<double>(now - begin_).count();
     fmt::print(stderr, "\rverify {:5.1f} %  {:.0f} s left ", 100 * fraction, seconds * (1 - fraction) / fraction);
   }
-  ~Progress() {
+  ~VerifyBar() {
     if (shown_) fmt::print(stderr, "\r{:40}\r", "");
   }
 
@@ -55,7 +55,7 @@ void printFindings(std::FILE* to, const std::vector<Error>& errors) {
 Result<void> inspectVerify(const formats::WholeWorld& world, int threads, bool quiet, const InspectOutput& out) {
   WorldCheck check;
   {
-    Progress progress(quiet);
+    VerifyBar progress(quiet);
     check = checkWorld(world, threads, [&](double f) { progress(f); });
   }
   const bool ok = check.corrupt.empty() && check.unphysical.empty();

@@ -34,9 +34,9 @@ void forEach(size_t n, int threads, const std::function<void(size_t, size_t)>& w
   for (std::thread& t : pool) t.join();
 }
 
-class Progress {
+class CheckProgress {
  public:
-  Progress(const WholeWorld& world, const std::function<void(double)>& call) : call_(call) {
+  CheckProgress(const WholeWorld& world, const std::function<void(double)>& call) : call_(call) {
     for (const LevelInfo& level : world.levels()) total_ += 2 * level.tiles;  // decoded once, compared once
     if (world.hasGeometry()) total_ += world.levels()[0].tiles;
   }
@@ -345,7 +345,7 @@ class Checker {
 
   const WholeWorld& world_;
   const int threads_;
-  Progress progress_;
+  CheckProgress progress_;
   WorldCheck check_;
 };
 

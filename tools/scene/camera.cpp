@@ -13,7 +13,7 @@ namespace {
 
 constexpr float kClearance = 0.2f;
 constexpr float kStep = 0.25f;  // between keys, voxels
-constexpr float kPi = 3.14159265f;
+constexpr float kHalfTurn = 3.14159265f;  // rad
 
 Int3 voxelOf(Vec3 p) {
   return {static_cast<int>(std::floor(p.x)), static_cast<int>(std::floor(p.y)), static_cast<int>(std::floor(p.z))};
@@ -125,8 +125,8 @@ void turn(std::vector<Shot>& shots, Vec3 to) {
   const Vec3 from = shots.back().look, eye = shots.back().eye;
   const float yaw0 = angleOf(from.z, from.x);
   float dyaw = angleOf(to.z, to.x) - yaw0;
-  if (dyaw > kPi) dyaw -= 2 * kPi;
-  if (dyaw < -kPi) dyaw += 2 * kPi;
+  if (dyaw > kHalfTurn) dyaw -= 2 * kHalfTurn;
+  if (dyaw < -kHalfTurn) dyaw += 2 * kHalfTurn;
   const auto pitchOf = [](Vec3 d) { return angleOf(d.y, std::sqrt(d.x * d.x + d.z * d.z)); };
   const float pitch0 = pitchOf(from), pitch1 = pitchOf(to);
   const int steps = 4 + static_cast<int>(std::abs(dyaw) * 12);

@@ -23,19 +23,19 @@ std::vector<std::string> lightsOf(const Report& report) {
   return lights;
 }
 
-namespace {
-
-const Accuracy* find(const Setting& s, const std::string& light) {
+const Accuracy* accuracyIn(const Setting& s, const std::string& light) {
   for (const Accuracy& a : s.accuracy)
     if (a.light == light) return &a;
   return nullptr;
 }
 
+namespace {
+
 // Null unless every light has its figure.
 const Accuracy* worst(const Report& report, const Setting& s) {
   const Accuracy* most = nullptr;
   for (const std::string& light : lightsOf(report)) {
-    const Accuracy* a = find(s, light);
+    const Accuracy* a = accuracyIn(s, light);
     if (!a || !std::isfinite(a->rel_l2.value)) return nullptr;
     if (!most || a->rel_l2.value > most->rel_l2.value) most = a;
   }
@@ -45,7 +45,7 @@ const Accuracy* worst(const Report& report, const Setting& s) {
 }  // namespace
 
 Figure errorOf(const Report& report, const Setting& s, const std::string& light) {
-  const Accuracy* a = light.empty() ? worst(report, s) : find(s, light);
+  const Accuracy* a = light.empty() ? worst(report, s) : accuracyIn(s, light);
   return a && std::isfinite(a->rel_l2.value) ? a->rel_l2 : Figure{};
 }
 

@@ -14,6 +14,9 @@ Figure costOf(const Setting& setting, Cost cost);
 // The lights that any setting was measured in, in the order that they come up.
 std::vector<std::string> lightsOf(const Report& report);
 
+// Of a setting in one light; null where it was not measured.
+const Accuracy* accuracyIn(const Setting& setting, const std::string& light);
+
 // Relative L2 error. light "": the worst over all of the report's lights; not measured unless all are.
 Figure errorOf(const Report& report, const Setting& setting, const std::string& light);
 // The light of that worst error; "" where it is not measured.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "tools/chart/page/figure_text.h"
+#include "tools/chart/page/front.h"
 #include "tools/chart/page/page.h"
 
 namespace ff::chart {
@@ -133,12 +134,6 @@ constexpr AccuracyColumn kErrors[] = {{"rel. L2, %", &Accuracy::rel_l2}, {"media
                                       {"95th, %", &Accuracy::p95},       {"99th, %", &Accuracy::p99},
                                       {"energy, %", &Accuracy::energy},  {"run time alone, %", &Accuracy::full_solve_rel_l2}};
 
-const Accuracy* find(const Setting& s, const std::string& light) {
-  for (const Accuracy& a : s.accuracy)
-    if (a.light == light) return &a;
-  return nullptr;
-}
-
 // The lights, in the order that they come up, each with the columns that some setting has.
 struct LightColumns {
   std::string light;
@@ -153,7 +148,7 @@ std::vector<LightColumns> lightColumns(const std::vector<Setting>& settings) {
   for (LightColumns& l : lights)
     for (const AccuracyColumn& e : kErrors)
       if (std::any_of(settings.begin(), settings.end(), [&](const Setting& s) {
-            const Accuracy* a = find(s, l.light);
+            const Accuracy* a = accuracyIn(s, l.light);
             return a && measured((a->*e.figure).value);
           }))
         l.errors.push_back(e);
@@ -195,7 +190,7 @@ std::string settingsTable(const std::vector<Setting>& settings) {
     out += cell(s.name, s.name, "word") + cell(s.varies, s.varies, "word");
     for (const Column& c : first) out += c.cell_of(s);
     for (const LightColumns& l : lights) {
-      const Accuracy* a = find(s, l.light);
+      const Accuracy* a = accuracyIn(s, l.light);
       for (const AccuracyColumn& e : l.errors) out += a ? cell(a->*e.figure, 100) : cell(kNotMeasuredText, "");
     }
     for (const Column& c : others) out += c.cell_of(s);
