@@ -52,7 +52,7 @@ double edgeUp(Vec3 a, Vec3 b) {
   return sine > 0 ? 0.5 * arcTangent(sine, static_cast<double>(dot(a, b))) * static_cast<double>(n.y) / sine : 0;
 }
 
-constexpr double kSkySeen = 0.4;    // of the sphere around a place; half of it is a dome that ends at the ground
+constexpr double kSkySeen = 0.4;  // of the sphere around a place; half of it is a dome that ends at the ground
 constexpr double kFrom = 0.9;    // of the places
 constexpr size_t kPlaces = 128;  // looked from
 constexpr double kBelow = 0.1;   // of the sphere: what fills more of it below than above is a ground

@@ -95,12 +95,12 @@ void dropDangling(const Polygon& polygon, double gap, std::vector<Segment>& fenc
 }
 
 // A binary space partition: convex polygons, each a leaf or cut into two.
-struct Cut {
+struct PolygonPart {
   Polygon polygon;
   uint32_t cut = 0;  // number of the first of its two parts; 0: a leaf
 };
 
-void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Cut>& parts) {
+void cutAlong(const Segment& fence, Point normal, double eps, std::vector<PolygonPart>& parts) {
   const Point along = fence.b - fence.a;
   const Point across = cross(normal, along) * (1 / length(along));
   const double offset = dot(across, fence.a);
@@ -200,7 +200,7 @@ Fences::Found Fences::find(const Piece& piece) const {
 void Fences::cut(Piece piece, std::vector<Piece>& out) const {
   const Found found = find(piece);
   std::copy_n(found.fenced, 2, piece.fenced);
-  std::vector<Cut> parts{{piece.polygon}};
+  std::vector<PolygonPart> parts{{piece.polygon}};
   if (!found.fences.empty()) {
     const Point normal = normalOf(piece.triangle);
     for (const Segment& fence : found.fences) cutAlong(fence, normal, kHairsOffBorder * hairOf(piece.triangle), parts);

@@ -10,7 +10,7 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kColumns = 256;  // of a part of a task
+constexpr uint32_t kTaskColumns = 256;  // of a part of a task
 
 template <class Element>
 class CpuPlainLocal final : public CpuBaseline<Element> {
@@ -25,7 +25,7 @@ class CpuPlainLocal final : public CpuBaseline<Element> {
     changed_.assign(rows_, {});
     for (auto& f : factors_) f.assign(rows_, 0);
     for (auto& e : light_) e.assign(rows_, 0);
-    partial_.assign(size_t{(rows_ + kColumns - 1) / kColumns} * 3 * rows_, 0);
+    partial_.assign(size_t{(rows_ + kTaskColumns - 1) / kTaskColumns} * 3 * rows_, 0);
   }
   const char* name() const override { return name_.c_str(); }
 
@@ -82,16 +82,16 @@ class CpuPlainLocal final : public CpuBaseline<Element> {
         factors_[2][n] = source[j].z + (b > 0 ? colour_[j].z * light_[2][j] : 0);
         ++n;
       }
-      const uint32_t chunks = (n + kColumns - 1) / kColumns;
+      const uint32_t chunks = (n + kTaskColumns - 1) / kTaskColumns;
       const auto partial = [&](uint32_t c, uint32_t chunk) {
         return partial_.data() + (size_t{chunk} * 3 + c) * rows_;
       };
       pool_.run(chunks, [&](uint32_t chunk) {
-        const uint32_t first = chunk * kColumns;
+        const uint32_t first = chunk * kTaskColumns;
         const float* const factors[3] = {&factors_[0][first], &factors_[1][first], &factors_[2][first]};
         float* const out[3] = {partial(0, chunk), partial(1, chunk), partial(2, chunk)};
         for (float* e : out) std::fill_n(e, rows, 0.0f);
-        kernels_.addColumns3(column(0), stride_, 0, rows, &columns_[first], factors, std::min(kColumns, n - first),
+        kernels_.addColumns3(column(0), stride_, 0, rows, &columns_[first], factors, std::min(kTaskColumns, n - first),
                              out);
       });
       pool_.run(3, [&](uint32_t c) {

@@ -12,7 +12,6 @@
 namespace ff::runtime {
 namespace {
 
-
 class Dense final : public DenseSolver {
  public:
   Dense(std::unique_ptr<BounceMatrix> matrix, const DenseSettings& settings)

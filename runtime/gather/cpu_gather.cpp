@@ -2,10 +2,10 @@
 // thread in the order of its entries, so the result does not depend on the number of threads.
 #include <algorithm>
 #include <atomic>
-#include <chrono>
 #include <cmath>
 #include <utility>
 
+#include "runtime/clock.h"
 #include "runtime/gather/gather_kernels.h"
 #include "runtime/gather/semi_iteration.h"
 #include "runtime/solver/solver.h"
@@ -72,16 +72,16 @@ class CpuGather final : public Solver {
 
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     for (int i = 0; i < k; ++i) step();
-    last_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    last_ms_ = msSince(start);
     return {};
   }
 
   Result<void> approach(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     if (!pace_.suits(k)) return iterate(k);
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     step();
     const double first = lastChange();
     step();
@@ -91,7 +91,7 @@ class CpuGather final : public Solver {
       if (omega != 1) before_.swap(to_);  // `to_` held the values of a step ago
       step(omega);
     }
-    last_ms_ = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    last_ms_ = msSince(start);
     return {};
   }
 

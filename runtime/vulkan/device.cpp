@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cctype>
-#include <chrono>
 #include <cstring>
 
+#include "runtime/clock.h"
 #include "runtime/vulkan/buffer.h"
 
 namespace ff::runtime {
@@ -420,11 +420,11 @@ Result<double> VkContext::finishRun() {
   if (queries_) vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, 1);
   if (const VkResult r = vkEndCommandBuffer(commands_); r != VK_SUCCESS) return vkError("vkEndCommandBuffer", r);
 
-  const auto start = std::chrono::steady_clock::now();
+  const auto start = Clock::now();
   auto submission = submit(commands_);
   if (!submission) return submission.error();
   if (auto r = wait(*submission); !r) return r.error();
-  double ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+  double ms = msSince(start);
   if (queries_) {
     uint64_t ticks[4] = {};
     const uint32_t count = timed_ ? 4 : 2;

@@ -1,7 +1,6 @@
 // What the benches of the run time share. What they compare with is tools/chart/world_truth.h; here errors end the program:
 // benches are programs, not libraries.
 #pragma once
-#include <chrono>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -10,11 +9,13 @@
 #include <vector>
 
 #include "formats/read/whole_world.h"
+#include "runtime/clock.h"
 #include "tools/chart/world_truth.h"
 
 namespace ff::bench {
 
-using Clock = std::chrono::steady_clock;
+using runtime::Clock;
+using runtime::msSince;
 using runtime::LocalMatrix;
 using runtime::SlotRange;
 using runtime::Vec4;
@@ -31,9 +32,6 @@ inline void orExit(const Result<void>& result) {
   if (result) return;
   std::cerr << "bench: " << result.error().line() << "\n";
   std::exit(static_cast<int>(result.error().code));
-}
-inline double msSince(Clock::time_point t) {
-  return std::chrono::duration<double, std::milli>(Clock::now() - t).count();
 }
 
 // A line of tools/bench; limit: the physical limit or rival of the same run, NaN if there is none. backend: "" or

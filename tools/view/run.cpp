@@ -1,6 +1,5 @@
 #include "tools/view/run.h"
 
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -8,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "formats/read/whole_world.h"
+#include "runtime/clock.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/updater.h"
@@ -20,16 +20,13 @@ namespace ff::view {
 namespace {
 
 using nlohmann::json;
-using Clock = std::chrono::steady_clock;
+using runtime::Clock;
+using runtime::msSince;
 
 constexpr float kHeatScale = 0.1f;  // full scale of difference pictures: 10 % of the mean reflected radiosity
 // Change of an iteration over the largest radiosity: a dark room beside a sunlit wall needs it small.
 constexpr float kConverged = 1e-6f;
 constexpr double kAdaptionSeconds = 0.7;  // in which automatic exposure follows all but 1/e of a change
-
-double msSince(Clock::time_point start) {
-  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-}
 
 json triple(Vec3 v) { return json::array({v.x, v.y, v.z}); }
 

@@ -1,12 +1,12 @@
 #include "tools/chart/paper/methods.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <numeric>
 #include <utility>
 
 #include "formats/read/whole_world.h"
+#include "runtime/clock.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/solver/solver.h"
@@ -22,13 +22,11 @@ using namespace walks;
 
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 template <class Step>
 Result<double> msOf(const Step& step) {
   const auto began = Clock::now();
   if (Result<void> done = step(); !done) return done.error();
-  return std::chrono::duration<double, std::milli>(Clock::now() - began).count();
+  return msSince(began);
 }
 
 double quantile(std::vector<double> values, double share) {

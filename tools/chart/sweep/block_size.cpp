@@ -1,10 +1,10 @@
 #include "tools/chart/sweep/block_size.h"
 
-#include <chrono>
 #include <deque>
 #include <memory>
 #include <numeric>
 
+#include "runtime/clock.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "tools/chart/sweep/comparison.h"
@@ -15,7 +15,6 @@ namespace {
 
 using namespace runtime;
 using namespace walks;
-using Clock = std::chrono::steady_clock;
 
 // A full matrix through which patches move, first in, first out.
 struct Moving {
@@ -45,7 +44,7 @@ struct Moving {
     if (auto left = leave(block); !left) return left.error();
     if (auto entered = enter(block); !entered) return entered.error();
     if (auto done = matrix->advance(matrix->capacity()); !done) return done.error();
-    return std::chrono::duration<double, std::milli>(Clock::now() - start).count() / block;
+    return msSince(start) / block;
   }
 };
 

@@ -1,9 +1,9 @@
 #include "tools/chart/sweep/running_cut.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 
+#include "runtime/clock.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 #include "runtime/dense/dense_solver.h"
@@ -15,9 +15,6 @@ namespace ff::chart {
 namespace {
 
 using namespace runtime;
-using Clock = std::chrono::steady_clock;
-
-double msSince(Clock::time_point t) { return std::chrono::duration<double, std::milli>(Clock::now() - t).count(); }
 
 Result<std::unique_ptr<BounceMatrix>> makeMatrix(const Knobs& knobs) {
   MultibounceSettings settings;

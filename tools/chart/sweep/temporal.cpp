@@ -3,19 +3,20 @@
 #include <fmt/core.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <deque>
 #include <numbers>
 #include <optional>
 
+#include "runtime/clock.h"
 #include "tools/chart/sweep/comparison.h"
 #include "tools/chart/sweep/running_cut.h"
 
 namespace ff::chart {
 namespace {
 
-using Clock = std::chrono::steady_clock;
+using runtime::Clock;
+using runtime::msSince;
 using Light = std::vector<double>;  // reflected radiosity of the place's patches, 3 each
 
 constexpr int kFramesAfterSwitch = 32, kFlickerFrames = 16, kFramesAState = 4;
@@ -84,7 +85,7 @@ class Observed {
       shining = sequence.lights[frame];
       const auto begun = Clock::now();
       if (auto stepped = cut.step(k); !stepped) return stepped.error();
-      ms.push_back(std::chrono::duration<double, std::milli>(Clock::now() - begun).count());
+      ms.push_back(msSince(begun));
       const auto now = seen(cut, *shining);
       if (!now) return now.error();
       errors.push_back(distance(*now, *sequence.settled[frame]) / norm(*sequence.settled[frame]));
