@@ -5,13 +5,10 @@
 #include <xxhash.h>
 
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cmath>
-#include <condition_variable>
 #include <cstring>
 #include <memory>
-#include <mutex>
 #include <new>
 #include <optional>
 #include <system_error>
@@ -25,6 +22,7 @@
 #include "bake/matrix/row_samples.h"
 #include "bake/matrix/row_sampling.h"
 #include "bake/not_modelled.h"
+#include "bake/progress_report.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/patch_size.h"
@@ -39,49 +37,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 double since(Clock::time_point t) { return std::chrono::duration<double>(Clock::now() - t).count(); }
-
-// Reports a counter from a thread of its own until it goes out of scope.
-class ProgressReport {
- public:
-  ProgressReport(const Progress& progress, const char* phase, uint64_t total)
-      : progress_(progress), phase_(phase), total_(total) {
-    if (!progress_) return;
-    say(0);
-    thread_ = std::thread([this] {
-      std::unique_lock lock(mutex_);
-      while (!wake_.wait_for(lock, std::chrono::milliseconds(100), [this] { return stop_; }))
-        say(done.load(std::memory_order_relaxed));
-    });
-  }
-  ~ProgressReport() {
-    if (!thread_.joinable()) return;
-    {
-      std::lock_guard lock(mutex_);
-      stop_ = true;
-    }
-    wake_.notify_one();
-    thread_.join();
-    say(total_);
-  }
-  std::atomic<uint64_t> done{0};
-
- private:
-  // A terminal that is gone is no reason to end a bake.
-  void say(uint64_t so_far) const noexcept {
-    try {
-      progress_(phase_, so_far, total_);
-    } catch (...) {
-    }
-  }
-
-  const Progress& progress_;
-  const char* phase_;
-  uint64_t total_;
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  bool stop_ = false;
-  std::thread thread_;
-};
 
 Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   const auto usage = [&](std::string message, std::string remedy) {
@@ -264,71 +219,101 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
 
 namespace {
 
-Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
-  const auto began = Clock::now();
+// What rays are cast at and from.
+struct Surface {
+  Surface(const Scene& whole, Cleanup done) : clean(std::move(done)), scene(clean.scene ? *clean.scene : whole) {}
+  const Cleanup clean;
+  const Scene& scene;
+  std::optional<RayCaster> caster;
+  PatchSet set;
+};
+
+int threadsOf(const BakeSettings& settings) {
+  return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
+}
+
+// check: called with the scene as it is baked, before the work.
+Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSettings& settings, const Progress& progress,
+                                             const std::function<Result<void>(const Scene&)>& check) {
   auto clean = cleanUp(whole, settings.cleanup);
   if (!clean) return clean.error();
-  const Scene& scene = clean->scene ? *clean->scene : whole;
+  auto surface = std::make_unique<Surface>(whole, std::move(*clean));
+  const Scene& scene = surface->scene;
   if (auto ok = checkSettings(scene, settings); !ok) return ok.error();
-  const BakeEstimate estimate = estimateBake(scene, settings);
-  if (settings.announce) settings.announce(estimate);
-  if (auto fits = checkFits(scene, settings, estimate); !fits) return fits.error();
-  const int threads = settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency());
-  tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(std::max(1, threads)));
-  auto writer = formats::WorldWriter::create(path);
-  if (!writer) return writer.error();
-
-  // Patches.
+  if (auto ok = check(scene); !ok) return ok.error();
   auto caster = RayCaster::create(scene);
   if (!caster) return caster.error();
-  auto set = [&] {
-    ProgressReport report(progress, "patches", scene.triangles.size());
-    const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.done, .metals = settings.metals};
-    return settings.cell_m > 0 ? makePatches(scene, cut, &*caster) : patchesWithin(settings.patch_budget, scene, cut, *caster);
-  }();
+  surface->caster.emplace(std::move(*caster));
+  ProgressReport report(progress, "patches", 0, settings.stop);
+  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals};
+  auto set = settings.cell_m > 0 ? makePatches(scene, cut, &*surface->caster) : patchesWithin(settings.patch_budget, scene, cut, *surface->caster);
   if (!set) return set.error();
-  const size_t n = set->patches.size();
+  surface->set = std::move(*set);
+  return surface;
+}
+
+Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
+  const auto began = Clock::now();
+  tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
+  std::optional<formats::WorldWriter> writer;
+  auto surface = makeSurface(whole, settings, progress, [&](const Scene& scene) -> Result<void> {
+    const BakeEstimate estimate = estimateBake(scene, settings);
+    if (settings.announce) settings.announce(estimate);
+    if (auto fits = checkFits(scene, settings, estimate); !fits) return fits;
+    if (auto space = checkSpace(path, estimate); !space) return space;
+    auto created = formats::WorldWriter::create(path);
+    if (!created) return created.error();
+    writer.emplace(std::move(*created));
+    return {};
+  });
+  if (!surface) return surface.error();
+  const Scene& scene = (*surface)->scene;
+  const RayCaster& caster = *(*surface)->caster;
+  PatchSet& set = (*surface)->set;
+  const size_t n = set.patches.size();
 
   // Rays.
   BakeStats stats;
-  stats.warnings = std::move(clean->notes);
-  stats.cell_m = set->cell_m;
+  stats.warnings = (*surface)->clean.notes;
+  stats.cell_m = set.cell_m;
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();
   HitRows hits;
   {
-    ProgressReport report(progress, "rays", n);
-    hits = castRows(scene, *set, *caster, settings.rays, settings.seed, report.done);
+    ProgressReport report(progress, "rays", n, settings.stop);
+    hits = settings.cache ? RayUnits(scene, set, settings.rays, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units)
+                          : castRows(scene, set, caster, settings.rays, settings.seed, report.count);
   }
-  const std::vector<SunLight> sun_on_patches = sunOnPatches(scene, *set, *caster, settings.seed);
+  const std::vector<SunLight> sun_on_patches = sunOnPatches(scene, set, caster, settings.seed);
   stats.ray_seconds = since(cast_began);
   std::vector<float> sky(n), whole_area(n);
   for (size_t i = 0; i < n; ++i) {
     stats.rays += hits.rays[i];
-    const double rays = hits.rays[i], a = static_cast<double>(set->patches[i].area_m2);
+    const double rays = hits.rays[i], a = static_cast<double>(set.patches[i].area_m2);
     sky[i] = hits.sky_fraction[i] / exposedFraction(hits, i);
     stats.sky_fraction += a * static_cast<double>(hits.sky_fraction[i]);
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
     stats.buried_fraction += a * hits.buried[i] / rays;
-    whole_area[i] = set->patches[i].area_m2;
-    set->patches[i].area_m2 *= exposedFraction(hits, i);
+    whole_area[i] = set.patches[i].area_m2;
+    set.patches[i].area_m2 *= exposedFraction(hits, i);
   }
-  stats.area_m2 = set->area_m2 - stats.buried_fraction;
-  stats.buried_fraction = (stats.buried_fraction + set->sealed_m2) / (set->area_m2 + set->sealed_m2);
+  stats.cast_rays = stats.rays - stats.ray_units.clean_patches * settings.rays;
+  stats.area_m2 = set.area_m2 - stats.buried_fraction;
+  stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);
   stats.sky_fraction /= stats.area_m2;
   stats.absorbed_fraction /= stats.area_m2;
-  if (auto line = lightOnBacks(scene, *set, hits, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
+  if (auto line = lightOnBacks(scene, set, hits, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
 
   // Pooling and the pyramid.
   std::vector<uint8_t> lamp_lit(n);
   for (size_t i = 0; i < n; ++i) lamp_lit[i] = !hits.lamps[i].empty();
-  const Hierarchy hierarchy = makeHierarchy(set->patches, sky, hits.narrow, lamp_lit);
+  const Hierarchy hierarchy = makeHierarchy(set.patches, sky, hits.narrow, lamp_lit);
   std::vector<std::unique_ptr<ExchangeLevel>> exchange;
   std::vector<std::vector<NodeValues>> values;
-  values.push_back(patchValues(set->patches, hierarchy));
+  values.push_back(patchValues(set.patches, hierarchy));
   {
-    ProgressReport report(progress, "pyramid", hierarchy.levels());
+    ProgressReport report(progress, "pyramid", hierarchy.levels() - 1, settings.stop);
     std::vector<float> areas(n);
     for (size_t i = 0; i < n; ++i) areas[hierarchy.number[i]] = whole_area[i];
     HitRows ordered = renumber(hits, hierarchy.number);
@@ -338,7 +323,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
       exchange.push_back(
           std::make_unique<ClusterExchange>(*exchange.back(), hierarchy.parents[l - 1], hierarchy.nodes[l]));
       values.push_back(clusterValues(values.back(), hierarchy, l));
-      report.done = l;
+      report.count.add();
     }
   }
 
@@ -348,7 +333,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   samples.emplace_back(*exchange[0], values[0], sun);
   for (uint32_t l = 1; l < hierarchy.levels(); ++l)
     samples.emplace_back(samples.back(), values[l - 1], hierarchy.parents[l - 1], hierarchy.nodes[l]);
-  const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set->patches);
+  const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set.patches);
 
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
   double deviation = 0;
@@ -358,7 +343,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   {
     uint64_t tiles_total = 0;
     for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
-    ProgressReport report(progress, "strips", tiles_total);
+    ProgressReport report(progress, "strips", tiles_total, settings.stop);
     constexpr uint32_t kBatch = 32;
     for (uint32_t l = hierarchy.levels(); l-- > 0;) {
       LevelStats& level = stats.levels[l];
@@ -384,7 +369,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
           level.entries += (*encoded[k])->info.entries;
           level.stored_bytes += (*encoded[k])->info.strip.stored_bytes;
           if (auto ok = writer->addStrip(std::move(**encoded[k])); !ok) return ok.error();
-          ++report.done;
+          report.count.add();
         }
       }
       exchange[l].reset();
@@ -392,13 +377,13 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   }
 
   formats::WorldInfo info;
-  info.cell_m = set->cell_m;
+  info.cell_m = set.cell_m;
   info.origin = scene.origin;
-  for (const Patch& p : set->patches) info.bounds.add(p.bounds);
+  for (const Patch& p : set.patches) info.bounds.add(p.bounds);
   info.rays = settings.rays;
   info.quanta = settings.quanta;
   info.seed = settings.seed;
-  info.bake_key = bakeKey(scene, settings, set->cell_m);
+  info.bake_key = bakeKey(scene, settings, set.cell_m);
   info.generator = "ffbake " FF_VERSION;
   info.scene = scene.name;
   info.row_total_deviation = static_cast<float>(deviation);
@@ -411,11 +396,11 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   // Drawing geometry.
   std::vector<uint32_t> patch_of(n);
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
-  if (auto line = rowsThatAreOff(scene, *set, off, patch_of); !line.empty()) stats.warnings.push_back(std::move(line));
+  if (auto line = rowsThatAreOff(scene, set, off, patch_of); !line.empty()) stats.warnings.push_back(std::move(line));
   const auto& tiles = hierarchy.tile_start[0];
   if (settings.geometry) {
-    ProgressReport report(progress, "geometry", tiles.size() - 1);
-    for (uint32_t t = 0; t + 1 < tiles.size(); ++t, ++report.done) {
+    ProgressReport report(progress, "geometry", tiles.size() - 1, settings.stop);
+    for (uint32_t t = 0; t + 1 < tiles.size(); ++t, report.count.add()) {
       formats::TileGeometry geometry;
       geometry.tile = t;
       const auto draw = [&](uint32_t node, const auto& triangles) {
@@ -426,44 +411,72 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
         }
       };
       for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
-        const Patch& patch = set->patches[patch_of[i]];
-        draw(i, std::span(set->triangles).subspan(patch.first_triangle, patch.triangles));
+        const Patch& patch = set.patches[patch_of[i]];
+        draw(i, std::span(set.triangles).subspan(patch.first_triangle, patch.triangles));
       }
       const size_t exposed = geometry.patch.size();
       for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i)
-        draw(i, std::ranges::equal_range(set->sealed, patch_of[i], {}, &SealedTriangle::patch));
+        draw(i, std::ranges::equal_range(set.sealed, patch_of[i], {}, &SealedTriangle::patch));
       geometry.sealed = static_cast<uint32_t>(geometry.patch.size() - exposed);
       if (auto ok = writer->addGeometry(geometry, info); !ok) return ok.error();
     }
   }
 
   if (auto ok = writer->finish(info, hierarchy.parents); !ok) return ok.error();
+  if (settings.cache) {
+    settings.cache->trim();
+    for (std::string& line : settings.cache->warnings()) stats.warnings.push_back(std::move(line));
+  }
   stats.warnings.insert(stats.warnings.end(), writer->warnings().begin(), writer->warnings().end());
   if (!settings.vdb_path.empty()) {
     std::vector<Cell> cells;
-    for (const Patch& p : set->patches) cells.push_back(p.cell);
-    if (auto ok = writeWorldGrids(settings.vdb_path, cells, set->cell_m, scene.origin); !ok) return ok.error();
+    for (const Patch& p : set.patches) cells.push_back(p.cell);
+    if (auto ok = writeWorldGrids(settings.vdb_path, cells, set.cell_m, scene.origin); !ok) return ok.error();
   }
   stats.not_modelled = notModelled(scene);
   for (uint32_t& i : lowered) i = patch_of[i];
-  if (auto line = loweredAlbedos(scene, *set, lowered)) stats.not_modelled.push_back(std::move(*line));
+  if (auto line = loweredAlbedos(scene, set, lowered)) stats.not_modelled.push_back(std::move(*line));
   stats.seconds = since(began);
   return stats;
 }
 
+Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, const Progress& progress) {
+  tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
+  const auto surface = makeSurface(whole, settings, progress, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
+  if (!surface) return surface.error();
+  const PatchSet& set = (*surface)->set;
+  ProgressReport report(progress, "rays", set.patches.size(), settings.stop);
+  BakeStatus status;
+  status.cell_m = set.cell_m;
+  status.patches = set.patches.size();
+  status.ray_units = RayUnits((*surface)->scene, set, settings.rays, settings.seed, *settings.cache).status(report.count, status.changed);
+  return status;
+}
+
+// What libraries throw, as errors.
+template <class F>
+auto caught(const Scene& scene, F f) -> decltype(f()) {
+  try {
+    return f();
+  } catch (const Stopped&) {
+    return Error{ErrorCode::kIo, scene.name, "", "the bake was stopped", "", ErrorCause::kStopped};
+  } catch (const std::bad_alloc&) {  // the estimate was too low
+    return Error{ErrorCode::kIo, scene.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
+  } catch (const std::system_error& e) {  // of threads: files have errors of their own
+    return Error{ErrorCode::kIo, scene.name, "", std::string("the bake ran out of threads: ") + e.what(), "use fewer --threads, or raise the limit on processes"};
+  } catch (const std::exception& e) {  // OpenVDB's, TBB's
+    return Error{ErrorCode::kIo, scene.name, "", std::string("the bake cannot go on: ") + e.what(), "report this, with the scene"};
+  }
+}
+
 }  // namespace
 
-Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
-                            const Progress& progress) {
-  try {
-    return bake(whole, settings, path, progress);
-  } catch (const std::bad_alloc&) {  // the estimate was too low
-    return Error{ErrorCode::kIo, whole.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
-  } catch (const std::system_error& e) {  // of threads: files have errors of their own
-    return Error{ErrorCode::kIo, whole.name, "", std::string("the bake ran out of threads: ") + e.what(), "use fewer --threads, or raise the limit on processes"};
-  } catch (const std::exception& e) {  // OpenVDB's, TBB's
-    return Error{ErrorCode::kIo, whole.name, "", std::string("the bake cannot go on: ") + e.what(), "report this, with the scene"};
-  }
+Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
+  return caught(whole, [&] { return bake(whole, settings, path, progress); });
+}
+
+Result<BakeStatus> bakeStatus(const Scene& whole, const BakeSettings& settings, const Progress& progress) {
+  return caught(whole, [&] { return status(whole, settings, progress); });
 }
 
 }  // namespace ff::bake

@@ -1,13 +1,17 @@
 // The whole bake, top to bottom: scene -> patches -> rays -> pooled rows -> pyramid -> strips -> shards -> manifest.
 #pragma once
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
 
+#include "bake/bake_code.h"
 #include "bake/cleanup/scene_cleanup.h"
+#include "bake/plan/ray_units.h"
 #include "bake/not_modelled.h"
+#include "bake/progress_report.h"
 #include "bake/scene.h"
 #include "formats/model.h"
 
@@ -36,6 +40,8 @@ struct BakeSettings {
   CleanupSettings cleanup{};
   uint64_t memory_bytes = 0;      // a bake that would need more is refused; 0: what the machine has free
   std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
+  BakeCache* cache = nullptr;      // what was done before is taken from it, what is done is kept there; null: neither
+  const std::atomic<bool>* stop = nullptr;  // once it is true, the bake ends within a second, with an error of cause kStopped
   bool geometry = true;           // write drawing geometry
   std::string vdb_path{};          // where to write the world's cells as OpenVDB grids (world_grids.h); empty: nowhere
 };
@@ -48,6 +54,7 @@ struct LevelStats {
 struct BakeStats {
   float cell_m = 0;
   uint64_t triangles = 0, without_area = 0, rays = 0;  // without_area: triangles left out
+  uint64_t cast_rays = 0;        // of these; the others were in the cache
   double area_m2 = 0;            // exposed: not inside another solid
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
   double buried_fraction = 0;    // of the whole area; sealed surface as well
@@ -55,22 +62,26 @@ struct BakeStats {
   std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMaxReflected
   std::vector<NotModelled> not_modelled;
+  UnitCounts ray_units;  // of the cache
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
-
-// Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 17;
 
 // WorldInfo::bake_key of a bake: scene (cleaned up), settings (cell_m instead of the settings' own) and code. Equal keys, equal bytes.
 std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings, float cell_m);
 
-// phase: "patches", "rays", "pyramid", "strips", "geometry"; done of total. Called from a thread of the baker's own, at most
-// ten times a second, never concurrently. What it throws is ignored.
-using Progress = std::function<void(const char* phase, uint64_t done, uint64_t total)>;
-
 // Bakes a scene into the world at `path` (a .ffm manifest and its shards). Errors: kUsage (settings), kInvalidFile (a scene
-// without surface), kIo (files; memory or threads ran out). Never throws. Nothing is left behind on an error.
+// without surface), kIo (files; memory or threads ran out; stopped). Never throws. Nothing is left behind on an error.
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
-                            const Progress& progress = {});
+                            const Progress& progress = {});  // phases: "patches", "rays", "pyramid", "strips", "geometry"
+
+// What a bake would find in settings.cache, which must not be null.
+struct BakeStatus {
+  float cell_m = 0;
+  uint64_t patches = 0;
+  UnitCounts ray_units;
+  std::vector<Vec3> changed;  // RayUnits::status()
+};
+// Makes the patches, and casts nothing. Errors as of bakeWorld().
+Result<BakeStatus> bakeStatus(const Scene& whole, const BakeSettings& settings, const Progress& progress = {});
 
 }  // namespace ff::bake

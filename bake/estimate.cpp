@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <limits>
 #include <string>
@@ -11,6 +12,7 @@
 #include "bake/rays/sobol.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/fineness.h"
+#include "formats/storage/storage.h"
 
 namespace ff::bake {
 namespace {
@@ -18,6 +20,7 @@ namespace {
 // Measured on towns and rooms; they need to be right within a factor of two only.
 constexpr double kBytesAPiece = 450, kBytesATriangle = 400, kBytesAPatch = 2500, kBytesARay = 2.2;
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
+constexpr double kSurelyOnDisk = 0.5;  // of the estimate
 constexpr double kRaysASecond = 3e6;  // of one core, over the whole bake
 
 std::string rounded(double x, const char* unit = "") {
@@ -119,6 +122,15 @@ Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const B
                "about " + rounded(e.patches) + " patches of " + rounded(e.pieces) + " pieces need " + rounded(e.memory_bytes, "B") +
                    " of memory, of which " + rounded(free, "B") + (settings.memory_bytes > 0 ? " may be used" : " are free"),
                std::move(remedy)};
+}
+
+Result<void> checkSpace(const std::string& path, const BakeEstimate& e) {
+  std::error_code unknown;
+  const auto disk = std::filesystem::space(formats::folderOf(path), unknown);
+  const auto free = static_cast<double>(disk.available);
+  if (unknown || free >= kSurelyOnDisk * e.disk_bytes) return {};
+  return Error{ErrorCode::kIo, path, "", "about " + rounded(e.disk_bytes, "B") + " of world do not fit on this disk, of which " + rounded(free, "B") + " are free",
+               "make room, or name an output elsewhere"};
 }
 
 }  // namespace ff::bake

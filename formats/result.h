@@ -15,8 +15,8 @@ namespace ff {
 // The values are the exit codes of every tool.
 enum class ErrorCode { kUsage = 1, kIo = 2, kInvalidFile = 3, kPhysics = 4 };
 
-// What a caller may recover from by other means than the user's: a GPU that is gone or full leaves the CPU.
-enum class ErrorCause { kOther, kDeviceLost, kOutOfDeviceMemory };
+// What a caller may recover from by other means than the user's: a GPU that is gone or full leaves the CPU; who stopped the work knows.
+enum class ErrorCause { kOther, kDeviceLost, kOutOfDeviceMemory, kStopped };
 
 struct Error {
   ErrorCode code = ErrorCode::kIo;

@@ -23,6 +23,7 @@
 #include "tools/chart/sweep/sweep.h"
 #include "tools/chart/sweep/temporal.h"
 #include "tools/view/camera.h"
+#include "tools/run_tool.h"
 
 namespace {
 
@@ -225,9 +226,7 @@ Result<void> run(Options& o) {
   return {};
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app{"Measures a world at many settings, charts speed against accuracy, and names the setting that is just enough."};
   app.set_version_flag("--version", std::string("ffchart ") + FF_VERSION);
   Options o;
@@ -268,3 +267,7 @@ int main(int argc, char** argv) {
   }
   return 0;
 }
+
+}  // namespace
+
+int main(int argc, char** argv) { return ff::tools::runTool("ffchart", argc, argv, run); }

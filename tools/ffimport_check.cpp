@@ -9,6 +9,7 @@
 
 #include "bake/import/gltf_import.h"
 #include "formats/version.h"
+#include "tools/run_tool.h"
 
 namespace {
 
@@ -49,9 +50,7 @@ std::string hex(const std::array<uint8_t, 16>& bytes) {
   return out;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app{"Imports one glTF file as ffbake does and prints what came out as one JSON line.", "ffimport_check"};
   std::string file;
   app.add_option("file", file, ".gltf or .glb")->required();
@@ -79,3 +78,7 @@ int main(int argc, char** argv) {
   std::cout << out.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) << '\n';
   return 0;
 }
+
+}  // namespace
+
+int main(int argc, char** argv) { return ff::tools::runTool("ffimport_check", argc, argv, run); }

@@ -8,6 +8,7 @@
 #include "formats/read/whole_world.h"
 #include "formats/version.h"
 #include "tools/inspect/inspect.h"
+#include "tools/run_tool.h"
 
 namespace {
 
@@ -39,9 +40,7 @@ struct Arguments {
 using WholeCommand = std::function<Result<void>(const formats::WholeWorld&)>;
 using Command = std::function<Result<void>(const formats::World&)>;
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app{"Looks into a Formfield world (.ffm), checks it, and exports its parts.\n"
                "Exit codes: 0 ok, 1 usage, 2 cannot read or write, 3 invalid file, 4 valid but violates physics.",
                "ffinspect"};
@@ -119,3 +118,7 @@ int main(int argc, char** argv) {
   }
   return 0;
 }
+
+}  // namespace
+
+int main(int argc, char** argv) { return ff::tools::runTool("ffinspect", argc, argv, run); }

@@ -10,6 +10,7 @@
 #include "tools/scene/camera.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
+#include "tools/run_tool.h"
 
 namespace {
 
@@ -111,9 +112,7 @@ CLI::App* command(CLI::App& app, const char* name, const char* about, Output& ou
   return c;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app{"Writes procedural scenes as binary glTF 2.0.", "ffscene"};
   app.set_version_flag("--version", "ffscene " FF_VERSION);
   app.require_subcommand(1);
@@ -163,3 +162,7 @@ int main(int argc, char** argv) {
   }
   return run();
 }
+
+}  // namespace
+
+int main(int argc, char** argv) { return ff::tools::runTool("ffscene", argc, argv, run); }

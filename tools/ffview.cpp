@@ -7,6 +7,7 @@
 
 #include "formats/version.h"
 #include "tools/view/run.h"
+#include "tools/run_tool.h"
 
 namespace {
 
@@ -89,9 +90,7 @@ Result<void> parse(const Texts& texts, view::RunOptions& o) {
   return parseLight(texts, o);
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   CLI::App app{"Flies through a world and draws its patches with their streamed radiosity."};
   app.set_version_flag("--version", std::string("ffview ") + FF_VERSION);
   view::RunOptions o;
@@ -151,3 +150,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "ffview: %s\n", warning.c_str());
   return 0;
 }
+
+}  // namespace
+
+int main(int argc, char** argv) { return ff::tools::runTool("ffview", argc, argv, run); }

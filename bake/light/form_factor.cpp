@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
+#include <memory>
 
 #include "bake/rays/cosine_rays.h"
 #include "bake/surface/sealed.h"
@@ -12,37 +14,34 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kMaxTogether = 128;  // patches cast by one task
-constexpr int kTogetherLog = 2;        // the cube of cells that they lie in
-constexpr size_t kGrain = 64;          // rows renumbered by one task
+constexpr uint32_t kMaxTogether = 128;  // patches whose rays guide each other's to the sky
+constexpr int kTogetherLog = 2;          // the cube of cells that they lie in
+constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for the last ones together
+static_assert(kTogetherLog <= kCastLog);
+constexpr size_t kGrain = 64;            // rows renumbered by one task
 
-struct Scratch {
-  std::vector<uint16_t> count;     // per patch, zero between rows
-  std::vector<uint32_t> touched;
-  std::vector<SurfacePoint> points;
-  std::vector<SkyRays> sky;        // of a chunk's patches
-  LampLight lamps;
-  SightMap sight;
-};
-
-struct GroupHits {
-  std::vector<uint32_t> column;
-  std::vector<uint16_t> count;
-};
-
-// Patches that are cast together, as neighbours guide each other's rays to the sky: those of a cube of cells, whatever lies elsewhere.
-// First ones, then the number of patches.
-std::vector<size_t> castTogether(const PatchSet& set) {
-  std::vector<size_t> start;
-  for (size_t i = 0; i < set.patches.size(); ++i)
-    if (i == 0 || i - start.back() == kMaxTogether ||
+// Patches together, in a range that begins with the first ones of a cube: those of a cube of cells, whatever lies elsewhere. First ones, then the end.
+std::vector<uint32_t> castTogether(const PatchSet& set, uint32_t first, uint32_t end) {
+  std::vector<uint32_t> start;
+  for (uint32_t i = first; i < end; ++i)
+    if (i == first || i - start.back() == kMaxTogether ||
         hilbertAncestor(set.patches[i].key, kTogetherLog) != hilbertAncestor(set.patches[i - 1].key, kTogetherLog))
       start.push_back(i);
-  start.push_back(set.patches.size());
+  start.push_back(end);
   return start;
 }
 
 }  // namespace
+
+std::vector<uint32_t> castRanges(const PatchSet& set) {
+  const std::vector<uint32_t> together = castTogether(set, 0, static_cast<uint32_t>(set.patches.size()));
+  const auto cubeOf = [&](uint32_t patch) { return hilbertAncestor(set.patches[patch].key, kCastLog); };
+  std::vector<uint32_t> start;
+  for (size_t g = 0; g + 1 < together.size(); ++g)
+    if (g == 0 || together[g + 1] - start.back() > kMaxCast || cubeOf(together[g]) != cubeOf(start.back())) start.push_back(together[g]);
+  start.push_back(together.back());
+  return start;
+}
 
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                const RayCaster& caster, std::span<Ray> rays) {
@@ -52,15 +51,43 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
     rays[i] = {points[i].position, cosineDirection(frameOf(points[i].normal), points[i].u, points[i].v)};
 }
 
-HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
-                 std::atomic<uint64_t>& done) {
-  const size_t n = set.patches.size();
-  const std::vector<size_t> start = castTogether(set);
-  const size_t groups = start.size() - 1;
-  const SobolTable sobol(rays);
-  const LampTree lamps(set);
+struct RowCaster::State {
+  struct Scratch {
+    Scratch(const State& s)
+        : count(s.set.patches.size()), points(s.rays), sky(kMaxTogether), caster(s.caster),
+          lamps(s.scene, s.set, caster, s.lamps, s.rays, s.seed) {}
+    std::vector<uint16_t> count;     // per patch of the set, zero between rows
+    std::vector<uint32_t> touched;
+    std::vector<SurfacePoint> points;
+    std::vector<SkyRays> sky;        // of patches together
+    RayCaster caster;                // leaves the trail of the range
+    LampLight lamps;
+    SightMap sight;
+  };
+
+  const Scene& scene;
+  const PatchSet& set;
+  const RayCaster& caster;
+  const uint32_t rays;
+  const uint64_t seed;
+  const SobolTable sobol;
+  const LampTree lamps;
+  tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
+
+  void castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const;
+};
+
+RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed)
+    : state_(new State{scene, set, caster, rays, seed, SobolTable(rays), LampTree(set), {}}) {}
+RowCaster::~RowCaster() = default;
+
+HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const {
+  std::unique_ptr<State::Scratch>& scratch = state_->scratch.local();
+  if (!scratch) scratch = std::make_unique<State::Scratch>(*state_);
+  scratch->caster = state_->caster.leaving(trail);
+  const size_t n = end - first;
   HitRows rows;
-  rows.rays.assign(n, rays);
+  rows.rays.assign(n, state_->rays);
   rows.start.assign(n + 1, 0);
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
@@ -69,76 +96,104 @@ HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caste
   rows.sky_means.assign(n, {});
   rows.lamps.assign(n, {});
   rows.narrow.assign(n, 0);
-  std::vector<GroupHits> parts(groups);
-  tbb::enumerable_thread_specific<Scratch> scratch([&] {
-    return Scratch{std::vector<uint16_t>(n), {}, std::vector<SurfacePoint>(rays), std::vector<SkyRays>(kMaxTogether),
-                   LampLight(scene, set, caster, lamps, rays, seed), {}};
-  });
-  tbb::parallel_for(size_t{0}, groups, [&](size_t c) {
-    Scratch& s = scratch.local();
-    const size_t first = start[c], end = start[c + 1];
-    for (size_t i = first; i < end; ++i) {
-      surfacePoints(scene, set, static_cast<uint32_t>(i), sobol, seed, caster, s.points);
-      if (!lamps.empty()) s.lamps.aim(static_cast<uint32_t>(i));
-      SkyRays& sky = s.sky[i - first];
-      sky.look.clear();
-      sky.main.clear();
-      s.sight.clear();
-      std::array<uint32_t, kNarrowCells.size()> near{};
-      for (size_t k = 0; k < rays; ++k) {
-        const SurfacePoint& from = s.points[k];
-        const Ray ray{from.position, cosineDirection(frameOf(from.normal), from.u, from.v)};
-        const Hit hit = caster.nearest(ray);
-        if (hit.triangle == kNone) {
-          ++rows.sky[i];
-          (k < lookingRays(rays) ? sky.look : sky.main).push_back({ray.origin, ray.direction, dot(ray.direction, from.normal)});
-          continue;
-        }
-        const float distance = length(hit.point - ray.origin), cells = distance / set.cell_m;
-        s.sight.add(ray.direction, distance);
-        for (size_t d = 0; d < near.size(); ++d) near[d] += cells < kNarrowCells[d];
-        const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
-        if (j == kSealed) {
-          ++rows.buried[i];
-          continue;
-        }
-        if (j == kNone) {
-          ++(!hit.front && isBuried(caster, ray.origin, from.normal) ? rows.buried : rows.absorbed)[i];
-          continue;
-        }
-        if (s.count[j]++ == 0) s.touched.push_back(j);
-        if (set.patches[j].emits()) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
-      }
-      for (auto* reached : {&sky.look, &sky.main})
-        for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
-      for (const uint32_t hits : near) if (hits > kMaxRays * rows.rays[i]) ++rows.narrow[i];
-      if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
-      std::sort(s.touched.begin(), s.touched.end());
-      for (uint32_t j : s.touched) {
-        parts[c].column.push_back(j);
-        parts[c].count.push_back(s.count[j]);
-        s.count[j] = 0;
-      }
-      rows.start[i + 1] = s.touched.size();
-      s.touched.clear();
-      done.fetch_add(1, std::memory_order_relaxed);
-    }
-    const auto sky = skyOf(scene, set, caster, sobol, seed, static_cast<uint32_t>(first), std::span(s.sky).first(end - first), rays);
-    for (size_t i = first; i < end; ++i) {
-      rows.sky_fraction[i] = static_cast<float>(sky[i - first].weight());
-      rows.sky_means[i] = sky[i - first].means();
-    }
-  });
-  for (size_t i = 0; i < n; ++i) rows.start[i + 1] += rows.start[i];
-  rows.column.resize(rows.start[n]);
-  rows.count.resize(rows.start[n]);
-  tbb::parallel_for(size_t{0}, groups, [&](size_t c) {
-    const auto at = static_cast<ptrdiff_t>(rows.start[start[c]]);
-    std::copy(parts[c].column.begin(), parts[c].column.end(), rows.column.begin() + at);
-    std::copy(parts[c].count.begin(), parts[c].count.end(), rows.count.begin() + at);
-    parts[c] = {};
-  });
+  const std::vector<uint32_t> start = castTogether(state_->set, first, end);
+  for (size_t g = 0; g + 1 < start.size(); ++g) state_->castTogether(start[g], start[g + 1], first, *scratch, rows, done);
   return rows;
+}
+
+void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const {
+  for (uint32_t patch = first; patch < end; ++patch) {
+    const size_t i = patch - range_first;
+    surfacePoints(scene, set, patch, sobol, seed, caster, s.points);
+    if (!lamps.empty()) s.lamps.aim(patch);
+    SkyRays& sky = s.sky[patch - first];
+    sky.look.clear();
+    sky.main.clear();
+    s.sight.clear();
+    std::array<uint32_t, kNarrowCells.size()> near{};
+    for (size_t k = 0; k < rays; ++k) {
+      const SurfacePoint& from = s.points[k];
+      const Ray ray{from.position, cosineDirection(frameOf(from.normal), from.u, from.v)};
+      const Hit hit = s.caster.nearest(ray);
+      if (hit.triangle == kNone) {
+        ++rows.sky[i];
+        (k < lookingRays(rays) ? sky.look : sky.main).push_back({ray.origin, ray.direction, dot(ray.direction, from.normal)});
+        continue;
+      }
+      const float distance = length(hit.point - ray.origin), cells = distance / set.cell_m;
+      s.sight.add(ray.direction, distance);
+      for (size_t d = 0; d < near.size(); ++d) near[d] += cells < kNarrowCells[d];
+      const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
+      if (j == kSealed) {
+        ++rows.buried[i];
+        continue;
+      }
+      if (j == kNone) {
+        ++(!hit.front && isBuried(s.caster, ray.origin, from.normal) ? rows.buried : rows.absorbed)[i];
+        continue;
+      }
+      if (s.count[j]++ == 0) s.touched.push_back(j);
+      if (set.patches[j].emits()) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
+    }
+    for (auto* reached : {&sky.look, &sky.main})
+      for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
+    for (const uint32_t hits : near) if (hits > kMaxRays * rays) ++rows.narrow[i];
+    if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
+    std::sort(s.touched.begin(), s.touched.end());
+    for (uint32_t j : s.touched) {
+      rows.column.push_back(j);
+      rows.count.push_back(s.count[j]);
+      s.count[j] = 0;
+    }
+    rows.start[i + 1] = rows.column.size();
+    s.touched.clear();
+    done.add();
+  }
+  const auto sky = skyOf(scene, set, s.caster, sobol, seed, first, std::span(s.sky).first(end - first), rays);
+  for (uint32_t patch = first; patch < end; ++patch) {
+    rows.sky_fraction[patch - range_first] = static_cast<float>(sky[patch - first].weight());
+    rows.sky_means[patch - range_first] = sky[patch - first].means();
+  }
+}
+
+HitRows joined(std::vector<HitRows> ranges) {
+  size_t n = 0, entries = 0;
+  for (const HitRows& r : ranges) {
+    n += r.rays.size();
+    entries += r.column.size();
+  }
+  HitRows all;
+  const auto join = [&](auto member, size_t size) {
+    auto& to = all.*member;
+    to.reserve(size);
+    for (HitRows& r : ranges) {
+      auto& from = r.*member;
+      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
+      from = {};
+    }
+  };
+  all.start.reserve(n + 1);
+  all.start.push_back(0);
+  for (HitRows& r : ranges) {
+    const uint64_t before = all.start.back();
+    for (size_t i = 1; i < r.start.size(); ++i) all.start.push_back(before + r.start[i]);
+  }
+  join(&HitRows::column, entries);
+  join(&HitRows::count, entries);
+  for (const auto member : {&HitRows::rays, &HitRows::sky, &HitRows::absorbed, &HitRows::buried}) join(member, n);
+  join(&HitRows::sky_fraction, n);
+  join(&HitRows::sky_means, n);
+  join(&HitRows::lamps, n);
+  join(&HitRows::narrow, n);
+  return all;
+}
+
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed, WorkCount& done) {
+  const std::vector<uint32_t> start = castRanges(set);
+  const RowCaster rows(scene, set, caster, rays, seed);
+  std::vector<HitRows> parts(start.size() - 1);
+  tbb::parallel_for(size_t{0}, parts.size(), [&](size_t r) { parts[r] = rows.cast(start[r], start[r + 1], nullptr, done); });
+  return joined(std::move(parts));
 }
 
 HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {

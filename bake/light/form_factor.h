@@ -9,8 +9,8 @@
 #pragma once
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -19,6 +19,7 @@
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/sobol.h"
 #include "bake/surface/patches.h"
+#include "bake/work_count.h"
 
 namespace ff::bake {
 
@@ -44,10 +45,31 @@ struct HitRows {
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                const RayCaster& caster, std::span<Ray> rays);
 
-// Casts all rows on all of TBB's threads; `done` counts patches for a progress bar. rays <= 65535; rays towards lamps and, where
-// it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
-HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed,
-                 std::atomic<uint64_t>& done);
+// Patches that are cast by one task, as ranges of the set's: first ones ascending, then the number of patches. Which ones are together
+// depends on those of their cube of 2^kCastLog cells alone.
+inline constexpr int kCastLog = 4;
+std::vector<uint32_t> castRanges(const PatchSet& set);
+
+// Casts the rows of ranges of patches; rays towards lamps and, where it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
+class RowCaster {
+ public:
+  // rays <= 65535. All outlive it.
+  RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed);
+  ~RowCaster();
+  // The rows of one of castRanges(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, 2 bytes a patch of the
+  // set. trail: where the rays go is added to it; may be null. done: counts patches.
+  HitRows cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+// Rows of ranges that follow each other as those of one.
+HitRows joined(std::vector<HitRows> ranges);
+
+// Casts all rows on all of TBB's threads.
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed, WorkCount& done);
 
 // Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
 inline float exposedFraction(const HitRows& rows, size_t patch) {

@@ -219,7 +219,7 @@ void RayCaster::State::attachBlocks() {
 }
 
 Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
-  auto state = std::make_unique<State>();
+  auto state = std::make_shared<State>();
   state->scene = &scene;
   state->device = rtcNewDevice(embree);
   if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
@@ -241,13 +241,12 @@ Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
   if (!scene.triangles.empty()) state->makeBlocks();
   if (state->error.empty()) state->attachBlocks();
   if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
-  return RayCaster(std::move(state));
+  return RayCaster(std::move(state), nullptr);
 }
 
-RayCaster::RayCaster(std::unique_ptr<State> state) : state_(std::move(state)) {}
-RayCaster::RayCaster(RayCaster&&) noexcept = default;
-RayCaster& RayCaster::operator=(RayCaster&&) noexcept = default;
-RayCaster::~RayCaster() = default;
+RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail) : state_(std::move(state)), trail_(trail) {}
+
+RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail); }
 
 Hit RayCaster::nearest(const Ray& ray, float within_m) const {
   const Scene& scene = *state_->scene;
@@ -258,6 +257,7 @@ Hit RayCaster::nearest(const Ray& ray, float within_m) const {
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     if (cast.comesNear()) rtcIntersect1(state_->embree, &cast.embree, &rh);
+    if (trail_) trail_->add(ray, cast.to_m);
     return std::pair(cast.triangle == kNone ? Hit{} : cast.hit(), static_cast<float>(cast.to_m));
   };
   const auto [hit, distance_m] = hitWithin(0, within_m, scene.backs == Backs::kPass);
@@ -275,6 +275,9 @@ bool RayCaster::occluded(const Ray& ray, float distance_m) const {
   State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass);
   RTCRay r = cast.embreeRay();
   if (cast.comesNear()) rtcOccluded1(state_->embree, &cast.embree, &r);
+  // A blocker is enough, wherever else another comes to stand.
+  if (trail_ && cast.triangle != kNone) trail_->add({cast.hit().point, ray.direction}, 0);
+  else if (trail_) trail_->add(ray, static_cast<double>(distance_m));
   return cast.triangle != kNone;
 }
 

@@ -5,8 +5,9 @@
 #include <memory>
 #include <vector>
 
-#include "bake/scene.h"
+#include "bake/rays/ray_trail.h"
 #include "bake/rays/triangle_hit.h"
+#include "bake/scene.h"
 
 namespace ff::bake {
 
@@ -21,9 +22,8 @@ class RayCaster {
   // Builds the acceleration structure; the scene must outlive the caster. embree: configuration of its device, for tests ("isa=sse2").
   // Errors: kIo (device, out of memory).
   static Result<RayCaster> create(const Scene& scene, const char* embree = nullptr);
-  RayCaster(RayCaster&&) noexcept;
-  RayCaster& operator=(RayCaster&&) noexcept;
-  ~RayCaster();
+  // Casts at the same triangles, and leaves a trail (null: none) of nearest() and occluded(), which are no longer thread-safe then.
+  RayCaster leaving(RayTrail* trail) const;
 
   // Thread-safe, the same answers whatever the processor and number of threads; of equally near triangles the lowest number. Rays pass through the holes of cutout materials, and backs where Scene::backs says so. Where a back and a surface that
   // faces the ray lie in one place to rounding, the latter is hit.
@@ -37,8 +37,9 @@ class RayCaster {
 
  private:
   struct State;
-  explicit RayCaster(std::unique_ptr<State> state);
-  std::unique_ptr<State> state_;
+  RayCaster(std::shared_ptr<const State> state, RayTrail* trail);
+  std::shared_ptr<const State> state_;
+  RayTrail* trail_ = nullptr;
 };
 
 }  // namespace ff::bake

@@ -52,9 +52,13 @@ Rgba interpolate(const std::vector<Rgba>& colors, const Triangle& t, float b, fl
 // Largest share of the light that a material stops anywhere.
 float maxSolid(const Material& m) { return (m.blend ? m.alpha : 1) * (1 - m.transmission); }
 
-float chance(uint32_t t, float b, float c) {
+// Of where the point lies, and of nothing else in the scene.
+float chance(const Scene& scene, uint32_t t, float b, float c) {
+  uint64_t corners = 0;
+  for (const uint32_t v : scene.triangles[t].v)
+    for (int a = 0; a < 3; ++a) corners = mix64(corners + std::bit_cast<uint32_t>(scene.positions[v][a]) + 1);
   const uint64_t point = uint64_t{std::bit_cast<uint32_t>(b)} << 32 | std::bit_cast<uint32_t>(c);
-  return static_cast<float>(mix64(point ^ mix64(t + 1)) >> 40) * 0x1p-24f;
+  return static_cast<float>(mix64(point ^ corners) >> 40) * 0x1p-24f;
 }
 
 }  // namespace
@@ -84,12 +88,12 @@ float solidity(const Scene& scene, uint32_t t, float b, float c) {
 
 bool isHole(const Scene& scene, uint32_t t, float b, float c) {
   const float solid = solidity(scene, t, b, c);
-  return solid < 1 && chance(t, b, c) >= solid;
+  return solid < 1 && chance(scene, t, b, c) >= solid;
 }
 
 bool mayStart(const Scene& scene, uint32_t t, float b, float c) {
   const float solid = solidity(scene, t, b, c), most = maxSolid(scene.materials[scene.triangles[t].material]);
-  return solid >= most || chance(t, b, c) * most < solid;
+  return solid >= most || chance(scene, t, b, c) * most < solid;
 }
 
 bool isSeenThrough(const Material& material) { return material.cutout && maxSolid(material) < 0.5f; }

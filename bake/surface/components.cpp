@@ -19,8 +19,9 @@ constexpr double kTiny = 0.02;      // likewise: crumbs that are less together j
 
 class Labeller {
  public:
-  Labeller(std::span<const Piece> pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed)
-      : pieces_(pieces), sides_(sides), crumb_(crumb), fences_(fences), sealed_(sealed), root_(sides.size()),
+  Labeller(std::span<const Piece> pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed,
+           WorkCount* done)
+      : pieces_(pieces), sides_(sides), crumb_(crumb), fences_(fences), sealed_(sealed), done_(done), root_(sides.size()),
         kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()) {}
 
   Labels label() {
@@ -30,7 +31,11 @@ class Labeller {
     place_start_.push_back(sides_.size());
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { connect(place_start_[g], place_start_[g + 1]); });
     listMembers();
-    tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) { judge(i); });
+    if (done_) done_->expect(sides_.size());
+    tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
+      judge(i);
+      if (done_) done_->add();
+    });
     std::vector<uint32_t> host(sides_.size(), kNobody);
     for (int step = 0; step < kSteps; ++step) {
       const std::vector<uint32_t> before = host;
@@ -299,6 +304,7 @@ class Labeller {
   const double crumb_;  // of a cell's face
   const Fences* const fences_;
   const SealedSurface* const sealed_;
+  WorkCount* const done_;
   std::vector<size_t> place_start_;
   std::vector<uint32_t> root_;           // per side: the first side of its component
   std::vector<Kind> kind_;               // per root, as all below
@@ -311,8 +317,8 @@ class Labeller {
 }  // namespace
 
 Labels labelSides(std::span<const Piece> pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
-                  const SealedSurface* sealed) {
-  return Labeller(pieces, sides, crumb_fraction, fences, sealed).label();
+                  const SealedSurface* sealed, WorkCount* done) {
+  return Labeller(pieces, sides, crumb_fraction, fences, sealed, done).label();
 }
 
 }  // namespace ff::bake

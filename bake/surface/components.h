@@ -7,6 +7,7 @@
 
 #include "bake/surface/fences.h"
 #include "bake/surface/sealed.h"
+#include "bake/work_count.h"
 
 namespace ff::bake {
 
@@ -35,8 +36,8 @@ inline constexpr uint32_t kSealed = 0xfffffffe;
 // Pieces that touch are connected, and those near a fence where they see each other across a border they share. A component under
 // crumb_fraction of its cell's face is a crumb: it joins what its surface goes on in across the border of its cell; else the nearest
 // patch of its place, unless a fence parts them and it is not small; near a fence, one that it sees, there or nearby; crumbs that come to
-// next to nothing, any patch nearby. sides: sorted. fences, sealed: null where nothing is parted, nothing sealed.
+// next to nothing, any patch nearby. done: counts sides, if not null. sides: sorted. fences, sealed: null where nothing is parted, nothing sealed.
 Labels labelSides(std::span<const Piece> pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
-                  const SealedSurface* sealed);
+                  const SealedSurface* sealed, WorkCount* done = nullptr);
 
 }  // namespace ff::bake

@@ -53,7 +53,6 @@ Result<PatchSet> patchesWithin(uint32_t budget, const Scene& scene, PatchSetting
   bool look = false;  // for what is enclosed: takes longer, so only when the size is about right
   for (int attempt = 0;; ++attempt) {
     settings.cell_m = static_cast<float>(cell);
-    if (settings.done) *settings.done = 0;
     auto set = makePatches(scene, settings, look ? &caster : nullptr);
     if (!set) return set;
     const double ratio = static_cast<double>(set->patches.size()) / budget;

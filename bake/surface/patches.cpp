@@ -55,8 +55,8 @@ class PatchBuilder {
     if (sides_.empty())
       return Error{ErrorCode::kUsage, scene_.name, "", "no surface has patches: all of it only blocks light", "let some have patches"};
     const double crumb = static_cast<double>(settings_.crumb_fraction);
-    labels_ = labelSides(pieces_, sides_, crumb, parting, sealed ? &*sealed : nullptr);
-    if (labels_.home.empty()) labels_ = labelSides(pieces_, sides_, crumb, parting, nullptr);  // all is smaller than a cell
+    labels_ = labelSides(pieces_, sides_, crumb, parting, sealed ? &*sealed : nullptr, settings_.done);
+    if (labels_.home.empty()) labels_ = labelSides(pieces_, sides_, crumb, parting, nullptr, settings_.done);  // all is smaller than a cell
     measure();
     return std::move(set_);
   }
@@ -65,6 +65,7 @@ class PatchBuilder {
   Result<void> cutTriangles(const PieceCutter& cutter) {
     constexpr size_t kChunk = 1024;
     const size_t n = scene_.triangles.size(), chunks = (n + kChunk - 1) / kChunk;
+    if (settings_.done) settings_.done->expect(n);
     // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
     double bound = 0;
     const double s = static_cast<double>(settings_.cell_m);
@@ -82,7 +83,7 @@ class PatchBuilder {
       const size_t end = std::min(n, (c + 1) * kChunk);
       for (size_t t = c * kChunk; t < end; ++t) {
         cutter.cut(static_cast<uint32_t>(t), parts[c]);
-        if (settings_.done) settings_.done->fetch_add(1, std::memory_order_relaxed);
+        if (settings_.done) settings_.done->add();
       }
     });
     set_.piece_start_.assign(n + 1, 0);

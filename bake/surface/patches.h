@@ -4,7 +4,6 @@
 // (sealed.h), which no light gets to, has none; its rims are kept for drawing. Crumbs join a neighbour (components.h), so that a patch may reach a little over
 // its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
-#include <atomic>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -12,9 +11,11 @@
 #include "bake/rays/ray_caster.h"
 #include "bake/scene.h"
 #include "bake/surface/components.h"
+#include "bake/surface/fineness.h"
 #include "bake/surface/hilbert.h"
 #include "bake/surface/lamp_groups.h"
 #include "bake/surface/polygon.h"
+#include "bake/work_count.h"
 #include "formats/model.h"
 
 namespace ff::bake {
@@ -69,6 +70,19 @@ class PatchSet {
     return searchPatch(t, front, p);
   }
 
+  // f(triangle of the scene, box of the piece's cell in m, piece, its outline) for every piece, by triangle. Of a piece: cell, and patch[2], as
+  // patchAt() says for its front and back; of a side of the outline, which is empty where a triangle has one piece in a cell: at, inward; in cells.
+  template <class F>
+  void eachPiece(F f) const {
+    for (uint32_t t = 0; t + 1 < piece_start_.size(); ++t)
+      for (uint32_t k = piece_start_[t]; k < piece_start_[t + 1]; ++k) {
+        const CutPiece& piece = pieces_[k];
+        const float edge_m = cell_m * static_cast<float>(edgeCells(fineness_[t]));
+        const Vec3 lo{static_cast<float>(piece.cell[0]), static_cast<float>(piece.cell[1]), static_cast<float>(piece.cell[2])};
+        f(t, Box{lo * edge_m, (lo + Vec3{1, 1, 1}) * edge_m}, piece, std::span(rims_).subspan(piece.first_rim, piece.rims));
+      }
+  }
+
   // The base cells that a patch lies in, crumbs apart: `cell` alone unless it is coarser. That is as near as its triangles' planes tell.
   std::vector<Cell> cellsOf(const Patch& patch) const;
 
@@ -92,7 +106,7 @@ class PatchSet {
 
 struct PatchSettings {
   float cell_m = 1;
-  std::atomic<uint64_t>* done = nullptr;  // counts triangles as they are cut, for a progress bar
+  WorkCount* done = nullptr;  // counts triangles as they are cut, and the surfaces that are judged; may be null
   float crumb_fraction = 0.05f;
   float metals = 1;  // share of a metal's mirror reflection that is carried on as diffuse light: albedo =
                      // base colour * (1 - metallic * (1 - metals)). 1 keeps its energy, 0 its darkness in a diffuse model.

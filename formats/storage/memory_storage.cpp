@@ -53,6 +53,19 @@ class MemoryNewFile final : public NewFile {
   std::shared_ptr<MemoryStorage::Inode> inode_;
 };
 
+class MemoryClaim final : public Claim {
+ public:
+  MemoryClaim(MemoryStorage& storage, std::string path) : storage_(storage), path_(std::move(path)) {}
+  ~MemoryClaim() override {
+    const std::lock_guard lock(storage_.mutex_);
+    storage_.claimed_.erase(path_);
+  }
+
+ private:
+  MemoryStorage& storage_;
+  const std::string path_;
+};
+
 Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path) {
   const std::lock_guard lock(mutex_);
   const auto found = names_.find(plain(path));
@@ -107,6 +120,12 @@ Result<std::vector<std::string>> MemoryStorage::list(const std::string& folder) 
   for (const auto& [path, inode] : names_)
     if (plain(folderOf(path)) == plain(folder)) names.push_back(fileNameOf(path));
   return names;
+}
+
+Result<std::unique_ptr<Claim>> MemoryStorage::claim(const std::string& path) {
+  const std::lock_guard lock(mutex_);
+  if (!claimed_.insert(plain(path)).second) return Error{ErrorCode::kIo, path, "", "another writer has claimed it", ""};
+  return std::unique_ptr<Claim>(std::make_unique<MemoryClaim>(*this, plain(path)));
 }
 
 std::shared_ptr<MemoryStorage> MemoryStorage::afterPowerCut(Unsynced unsynced) const {

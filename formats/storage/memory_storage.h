@@ -3,6 +3,7 @@
 #pragma once
 #include <map>
 #include <mutex>
+#include <set>
 
 #include "formats/storage/storage.h"
 
@@ -17,6 +18,7 @@ class MemoryStorage final : public Storage {
   Result<bool> exists(const std::string& path) override;
   Result<bool> syncFolder(const std::string& folder) override;
   Result<std::vector<std::string>> list(const std::string& folder) override;
+  Result<std::unique_ptr<Claim>> claim(const std::string& path) override;
   Result<void> checkWritable(const std::string&) override { return {}; }
 
   // A disk may do more than it was asked to, in any order. Bytes are those of the last sync().
@@ -30,6 +32,7 @@ class MemoryStorage final : public Storage {
 
  private:
   friend class MemoryNewFile;
+  friend class MemoryClaim;
   using Bytes = std::vector<std::byte>;
   struct Inode {
     std::shared_ptr<Bytes> bytes = std::make_shared<Bytes>();
@@ -40,6 +43,7 @@ class MemoryStorage final : public Storage {
 
   mutable std::mutex mutex_;
   Names names_, synced_names_;  // by path
+  std::set<std::string> claimed_;
   std::string newest_;          // renamed to since the last syncFolder(); empty: none
 };
 

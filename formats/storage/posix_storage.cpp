@@ -1,5 +1,6 @@
 #include <dirent.h>
 #include <fcntl.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -80,6 +81,17 @@ class PosixNewFile final : public NewFile {
   std::string path_;
 };
 
+// A lock on a file beside the one that is claimed, which goes with the claim.
+class PosixClaim final : public Claim {
+ public:
+  PosixClaim(Descriptor fd, std::string path) : fd_(std::move(fd)), path_(std::move(path)) {}
+  ~PosixClaim() override { ::unlink(path_.c_str()); }
+
+ private:
+  Descriptor fd_;
+  std::string path_;
+};
+
 class PosixStorage final : public Storage {
  public:
   Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
@@ -127,6 +139,22 @@ class PosixStorage final : public Storage {
     std::erase(names, "..");
     std::sort(names.begin(), names.end());
     return names;
+  }
+  Result<std::unique_ptr<Claim>> claim(const std::string& path) override {
+    const std::string name = path + ".lock";
+    for (;;) {
+      Descriptor fd(::open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644));
+      if (!fd) return systemError(name, "cannot create");
+      if (::flock(fd.get(), LOCK_EX | LOCK_NB) != 0) {
+        if (errno == EINTR) continue;
+        if (errno != EWOULDBLOCK) return std::unique_ptr<Claim>(std::make_unique<PosixClaim>(std::move(fd), name));  // no locks here
+        return Error{ErrorCode::kIo, path, "", "another program is writing it", "wait for its end, or name another output"};
+      }
+      struct stat locked {}, named {};  // another claim may just have gone, and its file with it
+      if (::fstat(fd.get(), &locked) != 0) return systemError(name, "cannot be looked at");
+      if (::stat(name.c_str(), &named) == 0 && named.st_ino == locked.st_ino)
+        return std::unique_ptr<Claim>(std::make_unique<PosixClaim>(std::move(fd), name));
+    }
   }
   Result<void> checkWritable(const std::string& folder) override {
     if (::access(folder.c_str(), W_OK | X_OK) != 0) return systemError(folder, "cannot write to this folder");

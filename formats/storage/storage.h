@@ -54,6 +54,12 @@ class NewFile {
   virtual Result<void> sync() = 0;
 };
 
+// The right to write a file, which one has at a time; given up when it is destroyed, or the process ends in whatever way.
+class Claim {
+ public:
+  virtual ~Claim() = default;
+};
+
 // Thread-safe. Errors name the path: kIo.
 class Storage {
  public:
@@ -71,6 +77,8 @@ class Storage {
   virtual Result<bool> exists(const std::string& path) = 0;
   // Names of the files in a folder, ascending.
   virtual Result<std::vector<std::string>> list(const std::string& folder) = 0;
+  // Errors: another has claimed it. Where a file system has no locks, none is told.
+  virtual Result<std::unique_ptr<Claim>> claim(const std::string& path) = 0;
   // Whether files can be made there.
   virtual Result<void> checkWritable(const std::string& folder) = 0;
 };

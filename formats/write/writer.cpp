@@ -13,6 +13,7 @@
 namespace ff::formats {
 
 struct WorldWriter::State {
+  std::unique_ptr<Claim> claim;  // given up when all else is gone
   StoragePtr storage;
   std::vector<std::string> warnings;
   std::string path, stem;  // stem: path without .ffm
@@ -37,6 +38,9 @@ struct WorldWriter::State {
 };
 
 namespace {
+
+// Of a file system, bytes; NAME.geometry.0123456789abcdef.ffs is the longest name.
+constexpr size_t kLongestName = 255, kLongestPath = 4095, kLongestEnding = 30;
 
 Error misuse(const std::string& what) { return {ErrorCode::kPhysics, "", "world writer", what, ""}; }
 
@@ -70,9 +74,17 @@ Result<WorldWriter> WorldWriter::create(const std::string& path, uint64_t shard_
   if (path.size() <= suffix.size() || !path.ends_with(suffix) || path[path.size() - suffix.size() - 1] == '/')
     return Error{ErrorCode::kUsage, path, "", "a world's name ends in .ffm", "name the output NAME.ffm"};
   state->stem = path.substr(0, path.size() - suffix.size());
+  if (fileNameOf(state->stem).size() + kLongestEnding > kLongestName || state->stem.size() + kLongestEnding > kLongestPath)
+    return Error{ErrorCode::kUsage, path, "", "the name is too long for the files that go beside it", "name the output in fewer letters"};
   state->shard_bytes = shard_bytes;
   // Says at once, not after hours, that the folder cannot be written.
   if (auto ok = state->storage->checkWritable(folderOf(path)); !ok) return ok.error();
+  if (const auto there = state->storage->exists(path); !there) return there.error();
+  else if (*there)
+    if (auto file = state->storage->open(path); !file) return file.error();  // a folder, for one
+  auto claim = state->storage->claim(path);
+  if (!claim) return claim.error();
+  state->claim = std::move(*claim);
   return WorldWriter(std::move(state));
 }
 

@@ -31,7 +31,7 @@ Result<EncodedStrip> encodeStrip(const Strip& strip, const Box& bounds, std::spa
 
 class WorldWriter {
  public:
-  // path: the manifest to be, "out/town.ffm". Its folder must exist. shard_bytes: a shard is closed once it has this many.
+  // Claims it, until the writer is destroyed: of two that write one world the second is refused. path: the manifest to be, "out/town.ffm". Its folder must exist. shard_bytes: a shard is closed once it has this many.
   static Result<WorldWriter> create(const std::string& path, uint64_t shard_bytes = uint64_t{256} << 20, StoragePtr storage = posixStorage());
   WorldWriter(WorldWriter&&) noexcept;
   WorldWriter& operator=(WorldWriter&&) noexcept;

@@ -65,7 +65,9 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
   ASSERT_TRUE(scene) << scene.error().line();
   Box all;
   for (const Vec3 p : scene->positions) all.add(p);
-  const BakeSettings settings{.cell_m = 1, .rays = 64, .geometry = false};
+  const auto cache = BakeCache::open(folder.file("cache"), uint64_t{1} << 30);
+  ASSERT_TRUE(cache) << cache.error().line();
+  const BakeSettings settings{.cell_m = 1, .rays = 64, .cache = cache->get(), .geometry = false};
   ASSERT_TRUE(bakeWorld(*scene, settings, folder.file("before.ffm")));
   const auto before = formats::WholeWorld::open(folder.file("before.ffm"));
   ASSERT_TRUE(before) << before.error().line();
@@ -83,7 +85,8 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
   }
   const Box house{ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}};
   addHouse(*scene, house);
-  ASSERT_TRUE(bakeWorld(*scene, settings, folder.file("after.ffm")));
+  const auto stats = bakeWorld(*scene, settings, folder.file("after.ffm"));
+  ASSERT_TRUE(stats) << stats.error().line();
   const auto after = formats::WholeWorld::open(folder.file("after.ffm"));
   ASSERT_TRUE(after) << after.error().line();
   std::map<formats::ChunkCell, formats::ChunkPtr> chunks_before;
@@ -113,6 +116,8 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
   }
   std::cout << far << " chunks of " << after->chunks(0).size() << " neither hold nor see it\n";
   EXPECT_GT(far, 10u);
+  std::cout << stats->ray_units.clean << " units of rays of " << stats->ray_units.units() << " were not cast again\n";
+  EXPECT_GT(2 * stats->ray_units.clean, stats->ray_units.units());
   EXPECT_GT(near_changed, 0u);
 }
 

@@ -46,7 +46,7 @@ struct Light {
 // Irradiance under a uniform sky of what lies in the room, all bounces.
 Light light(const Scene& scene, const PatchSet& set, const RayCaster& caster, const std::function<bool(const Patch&)>& isInside) {
   constexpr uint32_t kRays = 512;
-  std::atomic<uint64_t> done{0};
+  WorkCount done;
   const HitRows rows = castRows(scene, set, caster, kRays, 1, done);
   const size_t n = set.patches.size();
   std::vector<double> direct(n), e;

@@ -124,7 +124,7 @@ double bareRaysPerSecond(const Scene& scene, const PatchSet& set, const RayCaste
 // Relative L2 of reflected radiosity, sun and sky, rows of `rays` and `quanta` against pooled rows of 16384 other rays.
 double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint32_t quanta) {
   const std::vector<double> sun = chart::sunOnPatches(set, caster);
-  std::atomic<uint64_t> done{0};
+  WorkCount done;
   const auto solve = [&](const HitRows& hits, uint32_t q) {
     const chart::PatchRows rows = chart::pooledRows(set, hits, q);
     return chart::solveRows(set, rows, chart::sunAndSky(set, rows, sun));

@@ -36,6 +36,7 @@ class CountingStorage final : public formats::Storage {
   Result<bool> syncFolder(const std::string& folder) override { return below_->syncFolder(folder); }
   Result<bool> exists(const std::string& path) override { return below_->exists(path); }
   Result<std::vector<std::string>> list(const std::string& folder) override { return below_->list(folder); }
+  Result<std::unique_ptr<formats::Claim>> claim(const std::string& path) override { return below_->claim(path); }
   Result<void> checkWritable(const std::string& folder) override { return below_->checkWritable(folder); }
 
   std::atomic<uint64_t> bytes{0};

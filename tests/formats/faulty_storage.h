@@ -49,6 +49,10 @@ class FaultyStorage final : public Storage {
     if (fails()) return fault(folder);
     return below_->list(folder);
   }
+  Result<std::unique_ptr<Claim>> claim(const std::string& path) override {
+    if (fails()) return fault(path);
+    return below_->claim(path);
+  }
   Result<void> checkWritable(const std::string& folder) override {
     if (fails()) return fault(folder);
     return below_->checkWritable(folder);

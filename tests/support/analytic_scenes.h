@@ -128,7 +128,7 @@ inline CastScene cast(Scene scene, float cell_m, uint32_t rays, uint64_t seed = 
   CastScene c{std::move(scene), {}, {}};
   const auto caster = RayCaster::create(c.scene);
   c.set = *makePatches(c.scene, {.cell_m = cell_m}, &*caster);
-  std::atomic<uint64_t> done{0};
+  WorkCount done;
   c.rows = castRows(c.scene, c.set, *caster, rays, seed, done);
   return c;
 }

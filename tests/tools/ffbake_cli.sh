@@ -5,14 +5,14 @@ ffbake=$1 ffscene=$2 folder=$3
 . "${BASH_SOURCE[0]%/*}/command.sh"
 refused() {  # refused WORDS density...: one line that holds the words, and no world
   local words=$1; shift
-  expect 1 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --quiet "${@/#/--density=}"
+  expect 1 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --no-cache --quiet "${@/#/--density=}"
   [ "$(wc -l <err.txt)" -eq 1 ] || fail "not one line: $(cat err.txt)"
   grep -qF -- "$words" err.txt || fail "no \"$words\": $(cat err.txt)"
   [ ! -e w.ffm ] || fail "a world was written"
 }
 patches() { python3 -c 'import json; print(json.load(open("out.txt"))["levels"][0]["nodes"])'; }
 expect 0 "$ffscene" two-rooms -o two.glb
-bake() { expect 0 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --quiet --json "$@"; }
+bake() { expect 0 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --no-cache --quiet --json "$@"; }
 bake
 plain=$(patches)
 bake --density '*=2'

@@ -23,7 +23,7 @@ diff -rq scenes lesser || fail "the bytes of scenes hang on the processor"
 
 isas=()
 for isa in sse2 avx avx2 avx512; do
-  held $isa "$ffbake" scenes/cap.glb -o cap.ffm --patch-size 1 --rays 64 --quiet >out.txt 2>err.txt || true
+  held $isa "$ffbake" scenes/cap.glb -o cap.ffm --patch-size 1 --rays 64 --no-cache --quiet >out.txt 2>err.txt || true
   if grep -q 'Embree cannot start' err.txt; then
     echo "note: this processor has no $isa; it is not tested"
   else
@@ -35,11 +35,11 @@ done
 
 world() {  # world NAME SCENE options...
   local name=$1 isa threads=1; shift
-  rm -rf best && mkdir best && (cd best && expect 0 "$ffbake" "$1" -o "$name.ffm" --quiet "${@:2}" && rm {out,err}.txt)
+  rm -rf best && mkdir best && (cd best && expect 0 "$ffbake" "$1" -o "$name.ffm" --no-cache --quiet "${@:2}" && rm {out,err}.txt)
   [ -n "$(ls best)" ] || fail "$name: nothing was written"
   for isa in "${isas[@]}"; do
     rm -rf other && mkdir other
-    (cd other && expect 0 held $isa "${lesser[@]}" "$ffbake" "$1" -o "$name.ffm" --quiet --threads $threads "${@:2}" && rm {out,err}.txt)
+    (cd other && expect 0 held $isa "${lesser[@]}" "$ffbake" "$1" -o "$name.ffm" --no-cache --quiet --threads $threads "${@:2}" && rm {out,err}.txt)
     diff -rq best other || fail "$name: the bytes hang on the processor: $isa, $threads threads"
     threads=$((3 - threads))
   done

@@ -1,7 +1,6 @@
 // Leaks: light in closed dark rooms beside lit ones, with walls of 1 m between them. Whatever shines there comes from a
 // patch or a cluster that spans both.
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <utility>
 
@@ -90,7 +89,7 @@ Result<PatchLeak> leakOfPatches(const Scene& scene, float cell_m, uint32_t rays,
   if (!caster) return caster.error();
   auto set = makePatches(scene, {.cell_m = cell_m}, &*caster);
   if (!set) return set.error();
-  std::atomic<uint64_t> done{0};
+  WorkCount done;
   const PatchRows rows = pooledRows(*set, castRows(scene, *set, *caster, rays, seed, done), 512);
   std::vector<double> source;
   for (const Patch& p : set->patches) {

@@ -1,6 +1,5 @@
 // Too few rays: form factors against closed forms, and the light of a town against rows of many other rays.
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <numbers>
 #include <optional>
@@ -67,7 +66,7 @@ Result<Cast> prepare(const Scene& scene, float cell_m) {
 }
 
 PatchRows rowsOf(const Scene& scene, const Cast& cast, uint32_t rays, uint32_t quanta, uint64_t seed) {
-  std::atomic<uint64_t> done{0};
+  WorkCount done;
   return pooledRows(cast.set, castRows(scene, cast.set, *cast.caster, rays, seed, done), quanta);
 }
 

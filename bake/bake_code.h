@@ -1,0 +1,10 @@
+// The version of what the baker makes.
+#pragma once
+#include <cstdint>
+
+namespace ff::bake {
+
+// Raised whenever the same scene and settings come to give other bytes.
+inline constexpr uint32_t kBakeCode = 18;
+
+}  // namespace ff::bake

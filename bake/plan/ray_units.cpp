@@ -1,0 +1,361 @@
+#include "bake/plan/ray_units.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+#include <zstd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+#include <optional>
+
+#include "bake/bake_code.h"
+#include "formats/codec/bytes.h"
+
+namespace ff::bake {
+namespace {
+
+using formats::ByteReader, formats::ByteWriter;
+using Raw = std::vector<std::byte>;
+
+constexpr std::string_view kRays = "rays", kContents = "contents";
+constexpr int kLevel = 1;  // of zstd: 3 saves 4 % of the bytes
+constexpr uint64_t kMostBytes = uint64_t{1} << 32;  // of a decompressed part: no unit comes near it
+
+// LEB128.
+void putVarint(ByteWriter& out, uint64_t value) {
+  for (; value >= 0x80; value >>= 7) out.u8(static_cast<uint8_t>(value | 0x80));
+  out.u8(static_cast<uint8_t>(value));
+}
+
+uint64_t takeVarint(ByteReader& in) {
+  uint64_t value = 0;
+  for (int shift = 0; shift < 64; shift += 7) {
+    uint8_t byte = 0;
+    in.u8(byte);
+    value |= uint64_t{byte & 0x7fu} << shift;
+    if (!(byte & 0x80)) break;
+  }
+  return value;
+}
+
+// A part of a record: its size decompressed, its size, a zstd frame.
+void putPart(ByteWriter& out, const Raw& raw) {
+  Raw packed(ZSTD_compressBound(raw.size()));
+  const size_t size = ZSTD_compress(packed.data(), packed.size(), raw.data(), raw.size(), kLevel);
+  packed.resize(ZSTD_isError(size) ? 0 : size);  // out of memory: a record that will not be read
+  out.u64(raw.size());
+  out.u64(packed.size());
+  out.data().insert(out.data().end(), packed.begin(), packed.end());
+}
+
+std::optional<Raw> takePart(ByteReader& in, std::span<const std::byte> record) {
+  uint64_t size = 0, packed = 0;
+  in.u64(size);
+  in.u64(packed);
+  const size_t at = in.position();
+  in.unused(packed);
+  if (!in.ok() || size > kMostBytes) return {};
+  Raw raw(size);
+  const size_t got = ZSTD_decompress(raw.data(), raw.size(), record.data() + at, packed);
+  if (ZSTD_isError(got) || got != size) return {};
+  return raw;
+}
+
+void putDigest(ByteWriter& out, const Digest& d) { out.u64(d[0]), out.u64(d[1]); }
+
+// Where a unit's rays went, and what it was that they met. Cubes are by number in a box, which may not be today's.
+struct Trail {
+  CubeBox box;
+  bool left = false;
+  std::vector<CubeBox::Cube> cubes;
+  std::vector<uint64_t> met;  // cubes of 2^kCastLog cells that patches lie in which were hit, by Hilbert key, ascending
+  Digest seen{};              // of all of it
+};
+
+Digest seenNow(const Contents& contents, std::span<const CubeBox::Cube> cubes, std::span<const uint64_t> met) {
+  std::vector<Digest> all;
+  all.reserve(cubes.size() + met.size());
+  for (const CubeBox::Cube& c : cubes) all.push_back(contents.cube(c));
+  for (const uint64_t key : met) all.push_back(contents.patchesIn(key));
+  return digestOf(std::as_bytes(std::span(all)));
+}
+
+void putBox(ByteWriter& out, const CubeBox& box) {
+  out.f32(box.edge_m);
+  for (const auto* corner : {&box.lo, &box.size})
+    for (const int32_t x : *corner) out.u32(static_cast<uint32_t>(x));
+}
+
+CubeBox takeBox(ByteReader& in) {
+  CubeBox box;
+  in.f32(box.edge_m);
+  for (auto* corner : {&box.lo, &box.size})
+    for (int32_t& x : *corner) {
+      uint32_t value = 0;
+      in.u32(value);
+      x = static_cast<int32_t>(value);
+    }
+  return box;
+}
+
+Raw encodeTrail(const Contents& contents, const RayTrail& trail, std::span<const uint64_t> met) {
+  ByteWriter out;
+  const std::vector<uint32_t> numbers = trail.cubes();
+  std::vector<CubeBox::Cube> cubes;
+  for (const uint32_t number : numbers) cubes.push_back(contents.box().cube(number));
+  putDigest(out, seenNow(contents, cubes, met));
+  putBox(out, contents.box());
+  out.u8(trail.left());
+  putVarint(out, numbers.size());
+  uint32_t last = 0;
+  for (const uint32_t number : numbers) {
+    putVarint(out, number - last);
+    last = number;
+  }
+  putVarint(out, met.size());
+  uint64_t key = 0;
+  for (const uint64_t m : met) {
+    putVarint(out, m - key);
+    key = m;
+  }
+  return std::move(out.data());
+}
+
+std::optional<Trail> decodeTrail(std::span<const std::byte> raw) {
+  ByteReader in(raw);
+  Trail trail;
+  in.u64(trail.seen[0]);
+  in.u64(trail.seen[1]);
+  trail.box = takeBox(in);
+  uint8_t left = 0;
+  in.u8(left);
+  trail.left = left != 0;
+  for (const int32_t x : trail.box.size) if (x < 1) return {};
+  uint64_t number = 0;
+  for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) {
+    number += takeVarint(in);
+    if (number >= trail.box.count()) return {};
+    trail.cubes.push_back(trail.box.cube(static_cast<uint32_t>(number)));
+  }
+  uint64_t key = 0;
+  for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) trail.met.push_back(key += takeVarint(in));
+  return in.ok() ? std::optional(std::move(trail)) : std::nullopt;
+}
+
+// Whether nothing has changed where rays went. What stands outside of the box now was not there when they left it.
+bool isSeenStill(const Contents& contents, const Trail& trail) {
+  const CubeBox& now = contents.box();
+  if (trail.box.edge_m != now.edge_m) return false;
+  for (size_t a = 0; trail.left && a < 3; ++a)
+    if (now.lo[a] < trail.box.lo[a] || now.lo[a] + now.size[a] > trail.box.lo[a] + trail.box.size[a]) return false;
+  return seenNow(contents, trail.cubes, trail.met) == trail.seen;
+}
+
+template <class T>
+void putValues(ByteWriter& out, const std::vector<T>& values) {
+  const auto bytes = std::as_bytes(std::span(values));
+  out.data().insert(out.data().end(), bytes.begin(), bytes.end());
+}
+
+template <class T>
+void takeValues(ByteReader& in, std::span<const std::byte> raw, size_t n, std::vector<T>& values) {
+  const size_t at = in.position();
+  in.unused(n * sizeof(T));
+  if (!in.ok()) return;
+  values.resize(n);
+  if (n > 0) std::memcpy(values.data(), raw.data() + at, n * sizeof(T));
+}
+
+}  // namespace
+
+RayUnits::RayUnits(const Scene& scene, const PatchSet& set, uint32_t rays, uint64_t seed, BakeCache& cache)
+    : scene_(scene), set_(set), rays_(rays), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)) {}
+
+Digest RayUnits::settings() const {
+  ByteWriter b;
+  b.u32(kBakeCode);
+  b.u32(rays_);
+  b.u64(seed_);
+  b.f32(set_.cell_m);
+  b.u8(static_cast<uint8_t>(scene_.backs));
+  for (const double x : scene_.origin) b.f64(x);
+  return digestOf(b.data());
+}
+
+Digest RayUnits::keyOf(size_t unit) const {
+  ByteWriter b;
+  for (const Digest& d : {settings(), contents_.lamps(), contents_.surface(start_[unit], start_[unit + 1])}) putDigest(b, d);
+  return digestOf(b.data());
+}
+
+// Columns are patches of the whole set, ascending, so that those of one cube of 2^kCastLog cells follow each other: runs, within which patches
+// count from the first of their cube.
+std::vector<std::byte> RayUnits::encode(const HitRows& rows, const RayTrail& trail) const {
+  const size_t n = rows.rays.size();
+  std::vector<uint64_t> met;
+  for (const uint32_t j : rows.column) {
+    const uint64_t key = hilbertAncestor(set_.patches[j].key, kCastLog);
+    if (met.empty() || met.back() != key) met.push_back(key);
+  }
+  std::sort(met.begin(), met.end());
+  met.erase(std::unique(met.begin(), met.end()), met.end());
+  std::vector<std::pair<uint32_t, uint32_t>> ranges;
+  for (const uint64_t key : met) ranges.push_back(contents_.rangeOf(key));
+
+  ByteWriter raw, runs, index, counts;
+  raw.u32(static_cast<uint32_t>(n));
+  putValues(raw, rows.rays);
+  for (const auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) putValues(raw, *values);
+  putValues(raw, rows.sky_fraction);
+  putValues(raw, rows.sky_means);
+  putValues(raw, rows.narrow);
+  for (const auto& lamps : rows.lamps) {
+    putVarint(raw, lamps.size());
+    for (const LampIrradiance& lamp : lamps) {
+      raw.u16(lamp.group);
+      for (const double x : lamp.rgb) raw.f64(x);
+    }
+  }
+  for (size_t i = 0; i < n; ++i) {
+    putVarint(runs, rows.start[i + 1] - rows.start[i]);
+    size_t range = 0, last_range = 0;
+    for (uint64_t k = rows.start[i]; k < rows.start[i + 1];) {
+      while (rows.column[k] >= ranges[range].second) ++range;
+      uint64_t end = k;
+      while (end < rows.start[i + 1] && rows.column[end] < ranges[range].second) ++end;
+      putVarint(runs, range - last_range);
+      putVarint(runs, end - k);
+      last_range = range;
+      for (uint32_t last = ranges[range].first; k < end; ++k) {
+        putVarint(index, rows.column[k] - last);
+        last = rows.column[k];
+        putVarint(counts, rows.count[k]);
+      }
+    }
+  }
+  ByteWriter record;
+  putPart(record, encodeTrail(contents_, trail, met));
+  for (ByteWriter* part : {&raw, &runs, &index, &counts}) putPart(record, part->data());
+  return std::move(record.data());
+}
+
+namespace {
+
+// Rows of `patches` patches; nothing where the record is not what encode() writes.
+std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte> bytes, const Contents& contents, const Trail& trail, size_t patches) {
+  std::array<Raw, 4> parts;
+  for (Raw& part : parts) {
+    auto taken = takePart(record, bytes);
+    if (!taken) return {};
+    part = std::move(*taken);
+  }
+  ByteReader raw(parts[0]), runs(parts[1]), index(parts[2]), counts(parts[3]);
+  uint32_t n = 0;
+  raw.u32(n);
+  if (n != patches) return {};
+  HitRows rows;
+  takeValues(raw, parts[0], n, rows.rays);
+  for (auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) takeValues(raw, parts[0], n, *values);
+  takeValues(raw, parts[0], n, rows.sky_fraction);
+  takeValues(raw, parts[0], n, rows.sky_means);
+  takeValues(raw, parts[0], n, rows.narrow);
+  rows.lamps.resize(n);
+  for (auto& lamps : rows.lamps) {
+    const uint64_t groups = takeVarint(raw);
+    for (uint64_t k = 0; k < groups && raw.ok(); ++k) {
+      LampIrradiance lamp;
+      raw.u16(lamp.group);
+      for (double& x : lamp.rgb) raw.f64(x);
+      lamps.push_back(lamp);
+    }
+  }
+  std::vector<std::pair<uint32_t, uint32_t>> ranges;
+  for (const uint64_t key : trail.met) ranges.push_back(contents.rangeOf(key));
+  rows.start.push_back(0);
+  for (uint32_t i = 0; i < n; ++i) {
+    const uint64_t entries = takeVarint(runs);
+    for (uint64_t k = 0, range = 0; k < entries;) {
+      range += takeVarint(runs);
+      const uint64_t in_run = takeVarint(runs);
+      if (range >= ranges.size() || in_run == 0 || in_run > entries - k) return {};
+      uint64_t column = ranges[range].first;
+      for (uint64_t e = 0; e < in_run; ++e, ++k) {
+        column += takeVarint(index);
+        if (column >= ranges[range].second) return {};
+        rows.column.push_back(static_cast<uint32_t>(column));
+        rows.count.push_back(static_cast<uint16_t>(takeVarint(counts)));
+      }
+    }
+    rows.start.push_back(rows.column.size());
+  }
+  if (!(raw.ok() && runs.ok() && index.ok() && counts.ok())) return {};
+  return rows;
+}
+
+// Thread-safe.
+class Counting {
+ public:
+  void add(UnitState state, uint64_t patches) {
+    ++units_[static_cast<size_t>(state)];
+    if (state == UnitState::kClean) patches_ += patches;
+  }
+  UnitCounts counts() const { return {.clean = units_[2], .stale = units_[1], .missing = units_[0], .clean_patches = patches_}; }
+
+ private:
+  std::atomic<uint64_t> units_[3] = {}, patches_{0};  // by UnitState
+};
+
+}  // namespace
+
+UnitState RayUnits::load(size_t unit, HitRows* rows) const {
+  const auto bytes = cache_.load(kRays, keyOf(unit));
+  if (!bytes) return UnitState::kMissing;
+  ByteReader record(*bytes);
+  const auto raw = takePart(record, *bytes);
+  const auto trail = raw ? decodeTrail(*raw) : std::nullopt;
+  if (!trail) return UnitState::kMissing;
+  if (!isSeenStill(contents_, *trail)) return UnitState::kStale;
+  if (!rows) return UnitState::kClean;
+  auto decoded = decodeRows(record, *bytes, contents_, *trail, start_[unit + 1] - start_[unit]);
+  if (!decoded) return UnitState::kMissing;
+  *rows = std::move(*decoded);
+  return UnitState::kClean;
+}
+
+HitRows RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts) {
+  std::vector<HitRows> rows(units());
+  Counting found;
+  tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
+    const UnitState state = load(u, &rows[u]);
+    const uint32_t patches = start_[u + 1] - start_[u];
+    found.add(state, patches);
+    if (state == UnitState::kClean) done.add(patches);
+  });
+  counts = found.counts();
+  const RowCaster casting(scene_, set_, caster, rays_, seed_);
+  tbb::enumerable_thread_specific<RayTrail> trails([&] { return RayTrail(contents_.box()); });
+  tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
+    if (!rows[u].rays.empty()) return;
+    RayTrail& trail = trails.local();
+    trail.clear();
+    rows[u] = casting.cast(start_[u], start_[u + 1], &trail, done);
+    cache_.store(kRays, keyOf(u), encode(rows[u], trail));
+  });
+  cache_.store(kContents, settings(), contents_.encoded());
+  return joined(std::move(rows));
+}
+
+UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
+  Counting found;
+  tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
+    const uint32_t patches = start_[u + 1] - start_[u];
+    found.add(load(u, nullptr), patches);
+    done.add(patches);
+  });
+  changed.clear();
+  if (const auto before = cache_.load(kContents, settings())) changed = contents_.changesSince(*before);
+  return found.counts();
+}
+
+}  // namespace ff::bake

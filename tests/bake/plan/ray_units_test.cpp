@@ -1,0 +1,200 @@
+// A bake that takes what it can from the cache is, byte for byte, the bake that casts all rays.
+#include "bake/plan/ray_units.h"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <filesystem>
+#include <iostream>
+#include <random>
+
+#include "bake/bake.h"
+#include "bake/import/gltf_import.h"
+#include "tests/support/analytic_scenes.h"
+#include "tests/support/random_world.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
+
+namespace ff::bake {
+namespace {
+
+constexpr uint32_t kFewRays = 64;
+
+Scene town(const formats::TemporaryFolder& folder, uint64_t patches) {
+  const auto made = tools::makeTown({.patches = patches});
+  EXPECT_TRUE(made);
+  EXPECT_TRUE(tools::writeGlb(tools::townModel(*made, false), folder.file("town.glb")));
+  auto scene = importGltf(folder.file("town.glb"));
+  EXPECT_TRUE(scene) << scene.error().line();
+  return std::move(*scene);
+}
+
+void addCorner(Scene& scene, Vec3 at) {
+  scene.positions.push_back(at);
+  if (!scene.uv0.empty()) scene.uv0.resize(scene.positions.size());
+  if (!scene.uv1.empty()) scene.uv1.resize(scene.positions.size());
+  if (!scene.colors.empty()) scene.colors.resize(scene.positions.size());
+}
+
+void addTriangle(Scene& scene, Vec3 a, Vec3 b, Vec3 c, uint32_t material) {
+  const auto first = static_cast<uint32_t>(scene.positions.size());
+  for (const Vec3& p : {a, b, c}) addCorner(scene, p);
+  scene.triangles.push_back({{first, first + 1, first + 2}, material});
+}
+
+bool equal(const HitRows& a, const HitRows& b) {
+  const auto same_bytes = [](const auto& x, const auto& y) { return x.size() == y.size() && (x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0); };
+  if (a.lamps.size() != b.lamps.size()) return false;
+  for (size_t i = 0; i < a.lamps.size(); ++i) {
+    if (a.lamps[i].size() != b.lamps[i].size()) return false;
+    for (size_t k = 0; k < a.lamps[i].size(); ++k)
+      if (a.lamps[i][k].group != b.lamps[i][k].group || a.lamps[i][k].rgb != b.lamps[i][k].rgb) return false;
+  }
+  return a.rays == b.rays && a.start == b.start && a.column == b.column && a.count == b.count && a.sky == b.sky && a.absorbed == b.absorbed &&
+         a.buried == b.buried && a.narrow == b.narrow && same_bytes(a.sky_fraction, b.sky_fraction) && same_bytes(a.sky_means, b.sky_means);
+}
+
+struct Cast {
+  UnitCounts counts;
+  HitRows rows;
+};
+
+// From the cache what is there; compared with all rays cast.
+Cast castBoth(const Scene& scene, float cell_m, BakeCache& cache, const std::string& what) {
+  const auto caster = RayCaster::create(scene);
+  EXPECT_TRUE(caster);
+  const auto set = makePatches(scene, {.cell_m = cell_m}, &*caster);
+  EXPECT_TRUE(set) << set.error().line();
+  WorkCount done;
+  Cast cast;
+  RayUnits units(scene, *set, kFewRays, 1, cache);
+  std::vector<Vec3> changed;
+  const UnitCounts before = units.status(done, changed);
+  cast.rows = units.cast(*caster, done, cast.counts);
+  EXPECT_EQ(before.clean, cast.counts.clean);
+  EXPECT_EQ(before.stale, cast.counts.stale);
+  EXPECT_TRUE(equal(cast.rows, castRows(scene, *set, *caster, kFewRays, 1, done))) << what;
+  UnitCounts again;
+  EXPECT_TRUE(equal(cast.rows, units.cast(*caster, done, again))) << what << ", again";
+  EXPECT_EQ(again.clean, again.units()) << what;
+  return cast;
+}
+
+std::unique_ptr<BakeCache> cacheIn(const std::string& folder, uint64_t limit = uint64_t{1} << 30) {
+  auto cache = BakeCache::open(folder, limit);
+  EXPECT_TRUE(cache) << cache.error().line();
+  return std::move(*cache);
+}
+
+// What may have changed since the last bake, and must not go unnoticed.
+void edit(Scene& scene, const Box& all, std::mt19937& random, std::string& what) {
+  const auto place = [&](float beyond) {
+    std::uniform_real_distribution<float> part(-beyond, 1 + beyond);
+    return Vec3{all.lo.x + part(random) * (all.hi.x - all.lo.x), all.lo.y + part(random) * (all.hi.y - all.lo.y), all.lo.z + part(random) * (all.hi.z - all.lo.z)};
+  };
+  const auto some = [&] { return static_cast<uint32_t>(random() % scene.triangles.size()); };
+  const Vec3 at = place(0);
+  switch (random() % 7) {
+    case 0: what = "a sheet"; addTriangle(scene, at, at + Vec3{3, 0, 1}, at + Vec3{0, 2, 2}, 0); break;
+    case 1: what = "a hair's breadth of a sheet"; addTriangle(scene, at, at + Vec3{0.01f, 0, 0}, at + Vec3{0, 0, 6}, 0); break;
+    case 2: what = "something outside of the world"; { const Vec3 far = place(0.5f); addTriangle(scene, far, far + Vec3{9, 0, 0}, far + Vec3{0, 9, 9}, 0); } break;
+    case 3: what = "a triangle less"; scene.triangles.erase(scene.triangles.begin() + some()); break;
+    case 4: what = "a corner moved"; scene.positions[scene.triangles[some()].v[random() % 3]].y += 0.4f; break;
+    case 5: what = "another order"; std::swap(scene.triangles[some()], scene.triangles[some()]); break;
+    default:
+      what = "a veil";
+      scene.materials.push_back(scene.materials[0]);
+      scene.materials.back().cutout = scene.materials.back().blend = scene.materials.back().double_sided = true;
+      scene.materials.back().alpha = 0.5f;
+      addTriangle(scene, at, at + Vec3{5, 0, 0}, at + Vec3{0, 5, 1}, static_cast<uint32_t>(scene.materials.size()) - 1);
+  }
+}
+
+TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
+  const formats::TemporaryFolder folder;
+  Scene scene = town(folder, 3000);
+  Box all;
+  for (const Vec3 p : scene.positions) all.add(p);
+  const auto cache = cacheIn(folder.file("cache"));
+  EXPECT_EQ(castBoth(scene, 1, *cache, "the first bake").counts.clean, 0u);
+  std::mt19937 random(3);
+  uint64_t clean = 0, units = 0;
+  for (int round = 0; round < 16; ++round) {
+    std::string what;
+    Scene edited = scene;
+    edit(edited, all, random, what);
+    const UnitCounts counts = castBoth(edited, 1, *cache, what).counts;
+    clean += counts.clean;
+    units += counts.units();
+    if (round % 3 == 0) scene = std::move(edited);  // or back again
+  }
+  std::cout << clean << " units of " << units << " were clean\n";
+  EXPECT_GT(clean, units / 20);
+  EXPECT_LT(clean, units);
+}
+
+TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
+  const formats::TemporaryFolder folder;
+  Scene scene;
+  const uint32_t ground = test::addMaterial(scene, {.5f, .5f, .5f});
+  test::addQuad(scene, {0, 0, 0}, {0, 0, 20}, {20, 0, 20}, {20, 0, 0}, ground);
+  const auto cache = cacheIn(folder.file("cache"));
+  castBoth(scene, 1, *cache, "open ground");
+  test::addQuad(scene, {0, 300, 0}, {30, 300, 0}, {30, 300, 30}, {0, 300, 30}, ground);
+  const UnitCounts counts = castBoth(scene, 1, *cache, "a roof far above").counts;
+  EXPECT_EQ(counts.clean, 0u);
+  EXPECT_GT(counts.stale, 0u);
+}
+
+TEST(RayUnits, NoticeWhatLampsAndVeilsAreMadeOf) {
+  const formats::TemporaryFolder folder;
+  Scene scene = test::closedBox({.5f, .5f, .5f}, {});
+  const uint32_t lamp = test::addMaterial(scene, {.5f, .5f, .5f}, {1, 1, 1}), veil = test::addMaterial(scene, {.5f, .5f, .5f});
+  scene.materials[veil].cutout = scene.materials[veil].blend = true;
+  scene.materials[veil].alpha = 0.25f;
+  test::addQuad(scene, {.4f, .9f, .4f}, {.6f, .9f, .4f}, {.6f, .9f, .6f}, {.4f, .9f, .6f}, lamp);
+  test::addQuad(scene, {.2f, .5f, .2f}, {.2f, .5f, .8f}, {.8f, .5f, .8f}, {.8f, .5f, .2f}, veil);
+  const auto cache = cacheIn(folder.file("cache"));
+  const auto expectClean = [&](const char* what, bool clean) {
+    const UnitCounts counts = castBoth(scene, 0.1f, *cache, what).counts;
+    EXPECT_GT(counts.units(), 1u);
+    EXPECT_EQ(counts.clean, clean ? counts.units() : 0) << what;
+  };
+  expectClean("the first", false);
+  scene.materials[0].base_color = {.9f, .2f, .2f};
+  expectClean("another colour", true);
+  scene.materials[lamp].emission = {2, 1, 1};
+  expectClean("another lamp", false);
+  scene.materials[veil].alpha = 0.75f;
+  expectClean("another veil", false);
+  scene.backs = Backs::kPass;
+  expectClean("other backs", false);
+}
+
+TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
+  const formats::TemporaryFolder folder;
+  const Scene scene = test::closedBox({.5f, .5f, .5f}, {1, 1, 1});
+  const auto cache = cacheIn(folder.file("cache"));
+  const UnitCounts first = castBoth(scene, 0.1f, *cache, "the first").counts;
+  std::mt19937 random(5);
+  uint64_t damaged = 0;
+  for (const auto& file : std::filesystem::directory_iterator(folder.file("cache"))) {
+    const std::string path = file.path().string();
+    if (file.path().filename().string().starts_with("contents")) continue;
+    std::vector<std::byte> bytes = formats::readFile(path);
+    const int kind = static_cast<int>(random() % 4);
+    if (kind == 0) continue;
+    if (kind == 1) bytes.resize(random() % bytes.size());
+    if (kind == 2) bytes[random() % bytes.size()] ^= std::byte{4};
+    if (kind == 3) bytes.assign(bytes.size(), std::byte{0});
+    formats::writeFile(path, bytes);
+    ++damaged;
+  }
+  EXPECT_GT(damaged, 2u);
+  const UnitCounts second = castBoth(scene, 0.1f, *cache, "after damage").counts;
+  EXPECT_EQ(second.missing, damaged);
+  EXPECT_EQ(second.clean, first.units() - damaged);
+}
+
+}  // namespace
+}  // namespace ff::bake

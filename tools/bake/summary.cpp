@@ -1,0 +1,119 @@
+#include "tools/bake/summary.h"
+
+#include <fmt/core.h>
+#include <sys/resource.h>
+
+#include <algorithm>
+
+namespace ff::tools {
+namespace {
+
+// Names are the file's own: control characters do not reach the terminal.
+std::string shown(std::string name) {
+  for (char& c : name)
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
+  return name;
+}
+
+// The last block: nothing where there is nothing to say.
+void printNotModelled(const std::vector<bake::NotModelled>& lines) {
+  constexpr size_t kMaxNames = 8;
+  if (!lines.empty()) fmt::print("not modelled here\n");
+  for (const auto& line : lines) {
+    fmt::print("  {}\n", shown(line.what));
+    if (line.names.empty()) continue;
+    fmt::print("    {} {}, {} triangles, {:.3g} % of the surface:", line.names.size(),
+               line.names.size() == 1 ? "material" : "materials", line.triangles, line.area_share * 100);
+    for (size_t i = 0; i < std::min(kMaxNames, line.names.size()); ++i)
+      fmt::print("{} {}", i == 0 ? "" : ",", shown(line.names[i]));
+    if (line.names.size() > kMaxNames) fmt::print(" and {} more", line.names.size() - kMaxNames);
+    fmt::print("\n");
+  }
+}
+
+nlohmann::json toJson(const std::vector<bake::NotModelled>& lines) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const auto& line : lines)
+    out.push_back({{"what", line.what}, {"triangles", line.triangles}, {"area_share", line.area_share}, {"materials", line.names}});
+  return out;
+}
+
+nlohmann::json toJson(const bake::UnitCounts& units) {
+  return {{"clean", units.clean}, {"stale", units.stale}, {"missing", units.missing}};
+}
+
+}  // namespace
+
+uint64_t peakBytes() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<uint64_t>(usage.ru_maxrss) << 10;
+}
+
+void printSummary(const bake::BakeStats& s, const std::string& world, const PhaseTimes& phases, uint64_t cache_bytes) {
+  uint64_t bytes = 0;
+  for (const auto& l : s.levels) bytes += l.stored_bytes;
+  fmt::print("{}: {} patches of {:.4g} m, {} levels, {:.1f} MB of rows\n", world, s.levels[0].nodes, static_cast<double>(s.cell_m),
+             s.levels.size(), static_cast<double>(bytes) * 1e-6);
+  fmt::print("  {:>5} {:>9} {:>6} {:>12} {:>11}\n", "level", "nodes", "tiles", "entries/row", "bytes/node");
+  for (size_t l = 0; l < s.levels.size(); ++l) {
+    const auto& v = s.levels[l];
+    fmt::print("  {:>5} {:>9} {:>6} {:>12.1f} {:>11.1f}\n", l, v.nodes, v.tiles,
+               static_cast<double>(v.entries) / v.nodes, static_cast<double>(v.stored_bytes) / v.nodes);
+  }
+  fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
+             s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
+  fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake; {:.2g} GB of memory at most\n", s.seconds,
+             static_cast<double>(s.cast_rays) * 1e-6 / s.seconds, static_cast<double>(peakBytes()) * 1e-9);
+  fmt::print("  seconds:");
+  for (const auto& [phase, seconds] : phases) fmt::print(" {} {:.1f}", phase, seconds);
+  fmt::print("\n");
+  if (cache_bytes > 0) {
+    fmt::print("  {} of {} units of rays were in the cache, which holds {:.1f} MB now\n", s.ray_units.clean, s.ray_units.units(),
+               static_cast<double>(cache_bytes) * 1e-6);
+  }
+  printNotModelled(s.not_modelled);
+}
+
+nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64_t cache_bytes) {
+  nlohmann::json levels = nlohmann::json::array(), seconds_by_phase = nlohmann::json::object();
+  for (const auto& l : s.levels)
+    levels.push_back({{"nodes", l.nodes}, {"tiles", l.tiles}, {"entries", l.entries}, {"stored_bytes", l.stored_bytes}});
+  for (const auto& [phase, seconds] : phases) seconds_by_phase[phase] = seconds;
+  return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
+          {"area_m2", s.area_m2},     {"rays", s.rays}, {"rays_cast", s.cast_rays},
+          {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
+          {"buried_fraction", s.buried_fraction},
+          {"clamped_nodes", s.clamped_nodes},
+          {"triangles_without_area", s.without_area},
+          {"warnings", s.warnings},
+          {"not_modelled", toJson(s.not_modelled)},
+          {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
+          {"seconds_by_phase", seconds_by_phase}, {"peak_bytes", peakBytes()},
+          {"ray_units", toJson(s.ray_units)}, {"cache_bytes", cache_bytes},
+          {"levels", levels}};
+}
+
+void printStatus(const bake::BakeStatus& s, const std::string& world, uint64_t cache_bytes) {
+  constexpr size_t kMostPlaces = 5;
+  fmt::print("{}: {} patches of {:.4g} m; the cache holds {:.1f} MB\n", world, s.patches, static_cast<double>(s.cell_m), static_cast<double>(cache_bytes) * 1e-6);
+  fmt::print("  rays: of {} units {} are clean; {} are stale, as something has changed where their rays went; {} are missing, as their surface, the\n"
+             "        lamps or the settings were never cast before\n",
+             s.ray_units.units(), s.ray_units.clean, s.ray_units.stale, s.ray_units.missing);
+  fmt::print("  patches, pyramid, strips, geometry: always made anew\n");
+  if (s.changed.empty()) return;
+  fmt::print("  changed since the last bake: {} cubes, around", s.changed.size());
+  for (size_t i = 0; i < std::min(kMostPlaces, s.changed.size()); ++i) {
+    const Vec3 at = s.changed[i * s.changed.size() / std::min(kMostPlaces, s.changed.size())];
+    fmt::print("{} ({:.4g}, {:.4g}, {:.4g})", i == 0 ? "" : ",", static_cast<double>(at.x), static_cast<double>(at.y), static_cast<double>(at.z));
+  }
+  fmt::print(" m\n");
+}
+
+nlohmann::json toJson(const bake::BakeStatus& s, uint64_t cache_bytes) {
+  nlohmann::json changed = nlohmann::json::array();
+  for (const Vec3& at : s.changed) changed.push_back({at.x, at.y, at.z});
+  return {{"cell_m", s.cell_m}, {"patches", s.patches}, {"ray_units", toJson(s.ray_units)}, {"changed", changed}, {"cache_bytes", cache_bytes}};
+}
+
+}  // namespace ff::tools
