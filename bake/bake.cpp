@@ -43,6 +43,7 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
     return Error{ErrorCode::kUsage, scene.name, "", std::move(message), std::move(remedy)};
   };
   if (s.rays < 1 || s.rays > 65535) return usage("rays must be 1 to 65535", "4096 is a good value");
+  if (!(s.target_error >= 0 && s.target_error < 1)) return usage("the error asked for must be above 0 and below 100 %", "2% is a good value");
   if (s.quanta < 1 || s.quanta > formats::kMaxQuanta) return usage("quanta must be 1 to 65535", "512 is a good value");
   if (!(s.cell_m >= 0) || !std::isfinite(s.cell_m)) return usage("patch size must be positive", "give metres");
   if (!(s.metals >= 0 && s.metals <= 1)) return usage("the share of metals must be 0 to 1", "1 is a good value");
@@ -119,7 +120,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     const double offset = unitOf(seed + n - strip.first_node);
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
-    if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.rays))))
+    if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.target_error > 0 ? std::min(s.rays, kLeastRays) : s.rays))))
       sampling.off.emplace_back(n, static_cast<float>(sampled.total - 1));
     formats::Node node = values[n].node;
     node.quanta = quanta;
@@ -203,6 +204,7 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(scene.content_hash.data(), scene.content_hash.size());
   put(&cell_m, sizeof cell_m);
   put(&s.rays, sizeof s.rays);
+  put(&s.target_error, sizeof s.target_error);
   put(&s.quanta, sizeof s.quanta);
   put(&s.seed, sizeof s.seed);
   put(&s.metals, sizeof s.metals);
@@ -231,6 +233,9 @@ struct Surface {
 int threadsOf(const BakeSettings& settings) {
   return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
 }
+
+// BakeSettings::target_error is twice a standard deviation.
+RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settings.target_error / 2}; }
 
 // check: called with the scene as it is baked, before the work.
 Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSettings& settings, const Progress& progress,
@@ -281,16 +286,20 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   const auto cast_began = Clock::now();
   HitRows hits;
   {
+    const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
-    hits = settings.cache ? RayUnits(scene, set, settings.rays, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units)
-                          : castRows(scene, set, caster, settings.rays, settings.seed, report.count);
+    hits = settings.cache ? RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units)
+                          : castRows(scene, set, caster, budget, settings.seed, report.count);
   }
   const std::vector<SunLight> sun_on_patches = sunOnPatches(scene, set, caster, settings.seed);
   stats.ray_seconds = since(cast_began);
   std::vector<float> sky(n), whole_area(n);
+  double square_error = 0;
   for (size_t i = 0; i < n; ++i) {
     stats.rays += hits.rays[i];
     const double rays = hits.rays[i], a = static_cast<double>(set.patches[i].area_m2);
+    stats.fewest_rays = i == 0 ? hits.rays[i] : std::min(stats.fewest_rays, hits.rays[i]);
+    square_error += static_cast<double>(hits.square_error[i]);
     sky[i] = hits.sky_fraction[i] / exposedFraction(hits, i);
     stats.sky_fraction += a * static_cast<double>(hits.sky_fraction[i]);
     stats.absorbed_fraction += a * hits.absorbed[i] / rays;
@@ -298,7 +307,9 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     whole_area[i] = set.patches[i].area_m2;
     set.patches[i].area_m2 *= exposedFraction(hits, i);
   }
-  stats.cast_rays = stats.rays - stats.ray_units.clean_patches * settings.rays;
+  stats.mean_rays = static_cast<uint32_t>(stats.rays / n);
+  stats.row_error = 2 * static_cast<float>(std::sqrt(square_error / static_cast<double>(n)));
+  stats.cast_rays = stats.rays - stats.ray_units.clean_rays;
   stats.area_m2 = set.area_m2 - stats.buried_fraction;
   stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);
   stats.sky_fraction /= stats.area_m2;
@@ -380,7 +391,10 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.cell_m = set.cell_m;
   info.origin = scene.origin;
   for (const Patch& p : set.patches) info.bounds.add(p.bounds);
-  info.rays = settings.rays;
+  info.rays = stats.mean_rays;
+  info.fewest_rays = stats.fewest_rays;
+  info.target_error = settings.target_error;
+  info.row_error = stats.row_error;
   info.quanta = settings.quanta;
   info.seed = settings.seed;
   info.bake_key = bakeKey(scene, settings, set.cell_m);
@@ -449,7 +463,7 @@ Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, cons
   BakeStatus status;
   status.cell_m = set.cell_m;
   status.patches = set.patches.size();
-  status.ray_units = RayUnits((*surface)->scene, set, settings.rays, settings.seed, *settings.cache).status(report.count, status.changed);
+  status.ray_units = RayUnits((*surface)->scene, set, budgetOf(settings), settings.seed, *settings.cache).status(report.count, status.changed);
   return status;
 }
 

@@ -32,7 +32,8 @@ struct BakeEstimate {
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
   uint32_t patch_budget = 60000;  // used when cell_m is 0
-  uint32_t rays = 4096;           // per patch, 1..65535; more go towards lamps and where little sky is seen
+  uint32_t rays = 4096;           // per patch, 1..65535; with a target_error the most; more go towards lamps and where little sky is seen
+  float target_error = 0;         // of the light that rays bring a patch, twice its standard deviation, relative: RayBudget; 0: all patches cast `rays`
   uint32_t quanta = 512;          // Q of a patch's row, at least, 1..65535: row_samples.h; clusters have kClusterQuanta of it
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
@@ -55,6 +56,8 @@ struct BakeStats {
   float cell_m = 0;
   uint64_t triangles = 0, without_area = 0, rays = 0;  // without_area: triangles left out
   uint64_t cast_rays = 0;        // of these; the others were in the cache
+  uint32_t mean_rays = 0, fewest_rays = 0;  // of a patch
+  float row_error = 0;           // WorldInfo's
   double area_m2 = 0;            // exposed: not inside another solid
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
   double buried_fraction = 0;    // of the whole area; sealed surface as well

@@ -9,6 +9,7 @@
 #include <thread>
 #include <unordered_set>
 
+#include "bake/light/form_factor.h"
 #include "bake/rays/sobol.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/fineness.h"
@@ -21,6 +22,7 @@ namespace {
 constexpr double kBytesAPiece = 450, kBytesATriangle = 400, kBytesAPatch = 2500, kBytesARay = 2.2;
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
 constexpr double kSurelyOnDisk = 0.5;  // of the estimate
+constexpr double kRaysAtError = 1600, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
 constexpr double kRaysASecond = 3e6;  // of one core, over the whole bake
 
 std::string rounded(double x, const char* unit = "") {
@@ -32,7 +34,14 @@ std::string rounded(double x, const char* unit = "") {
   return std::string(text) + (*unit ? " " : "") + prefix[k] + unit;
 }
 
-double memoryOf(double patches, double pieces, double triangles, uint32_t rays) {
+// A patch's, on average.
+double raysOf(const BakeSettings& settings) {
+  if (!(settings.target_error > 0)) return settings.rays;
+  const double asked = kRaysAtError * std::pow(kErrorAsked / static_cast<double>(settings.target_error), kRaysByError);
+  return std::clamp(asked, std::min<double>(settings.rays, kLeastRays), static_cast<double>(settings.rays));
+}
+
+double memoryOf(double patches, double pieces, double triangles, double rays) {
   return triangles * kBytesATriangle + pieces * kBytesAPiece + patches * (kBytesAPatch + kBytesARay * rays);
 }
 
@@ -98,9 +107,10 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   }
   if (settings.cell_m == 0) e.patches = settings.patch_budget;
   const unsigned cores = std::max(1u, settings.threads > 0 ? static_cast<unsigned>(settings.threads) : std::thread::hardware_concurrency());
-  e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()), settings.rays);
+  const double rays = raysOf(settings);
+  e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()), rays);
   e.disk_bytes = e.patches * (kDiskAPatch + kDiskAQuantum * settings.quanta);
-  e.seconds = e.patches * settings.rays / (kRaysASecond * cores);
+  e.seconds = e.patches * rays / (kRaysASecond * cores);
   return e;
 }
 

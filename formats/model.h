@@ -175,7 +175,10 @@ struct WorldInfo {
   std::array<double, 3> origin{};  // m, in the source's world space: where all coordinates here count from, and the corner of cell
                                  // (0,0,0) of every level; cell = floor(p / cell_m). Zero but for scenes that stand far away.
   Box bounds;                    // m
-  uint32_t rays = 0;             // per patch
+  uint32_t rays = 0;             // per patch, on average
+  uint32_t fewest_rays = 0;      // of any patch
+  float target_error = 0;        // that rays were cast for: twice the standard deviation of a row's light; 0: all patches cast as many
+  float row_error = 0;           // the same, as measured: root mean square over patches, rays alone
   uint32_t quanta = 0;           // Q: samples of a row, by rule; see maxRowQuanta
   uint64_t seed = 0;
   std::array<uint8_t, 16> bake_key{};   // XXH3-128 of scene bytes, settings and code version

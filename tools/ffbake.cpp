@@ -28,6 +28,8 @@ namespace {
 using namespace ff;
 using Clock = std::chrono::steady_clock;
 
+constexpr uint32_t kMostRays = 16384;  // of a patch, whatever error is asked for
+
 int fail(const Error& error) {
   std::fprintf(stderr, "ffbake: %s\n", error.line().c_str());
   return static_cast<int>(error.code);
@@ -42,6 +44,15 @@ Result<std::pair<std::string, float>> readDensity(const std::string& text) {
   if (number.empty() || *end != '\0' || at == 0)
     return Error{ErrorCode::kUsage, "--density", "", "\"" + text + "\" is not PATTERN=NUMBER", "--density 'lamp*=2', for one"};
   return std::pair(text.substr(0, at), density);
+}
+
+// "2%" or "2": per cent.
+Result<float> readError(const std::string& text) {
+  char* end = nullptr;
+  const float percent = std::strtof(text.c_str(), &end);
+  if (text.empty() || (*end != '\0' && std::string(end) != "%") || !(percent > 0 && percent < 100))
+    return Error{ErrorCode::kUsage, "--target-error", "", "\"" + text + "\" is not a per cent above 0 and below 100", "--target-error 2%, for one"};
+  return percent / 100;
 }
 
 // What the tool itself reads or writes besides the world may not be the world, nor the other way round.
@@ -82,7 +93,11 @@ int run(int argc, char** argv) {
   app.add_option("--patch-budget", settings.patch_budget, "about how many patches to make when no size is given")
       ->transform(CLI::AsSizeValue(true))
       ->capture_default_str();
-  app.add_option("--rays", settings.rays, "rays per patch, 1 to 65535")->capture_default_str();
+  std::string target_error = "2%";
+  CLI::Option* target = app.add_option("--target-error", target_error, "rays are cast until the light that a patch gets errs by less, twice its standard deviation")
+                            ->capture_default_str();
+  CLI::Option* rays = app.add_option("--rays", settings.rays, "so many rays per patch instead, 1 to 65535; with --target-error at most so many")
+                          ->default_str("16384 at most");
   app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
@@ -124,6 +139,12 @@ int run(int argc, char** argv) {
     return app.exit(e) == 0 ? 0 : 1;
   }
   settings.geometry = !no_geometry;
+  if (target->count() > 0 || rays->count() == 0) {
+    const auto error = readError(target_error);
+    if (!error) return fail(error.error());
+    settings.target_error = *error;
+    if (rays->count() == 0) settings.rays = kMostRays;
+  }
   import.z_up = up == "z";
   for (const std::string& density : densities) {
     auto read = readDensity(density);

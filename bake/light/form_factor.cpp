@@ -8,6 +8,7 @@
 #include <iterator>
 #include <memory>
 
+#include "bake/light/row_error.h"
 #include "bake/rays/cosine_rays.h"
 #include "bake/surface/sealed.h"
 
@@ -18,6 +19,8 @@ constexpr uint32_t kMaxTogether = 128;  // patches whose rays guide each other's
 constexpr int kTogetherLog = 2;          // the cube of cells that they lie in
 constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for the last ones together
 static_assert(kTogetherLog <= kCastLog);
+constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches together whose errors tell how many rays they need: so many, or one of so many
+constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
 constexpr size_t kGrain = 64;            // rows renumbered by one task
 
 // Patches together, in a range that begins with the first ones of a cube: those of a cube of cells, whatever lies elsewhere. First ones, then the end.
@@ -54,8 +57,8 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
-        : count(s.set.patches.size()), points(s.rays), sky(kMaxTogether), caster(s.caster),
-          lamps(s.scene, s.set, caster, s.lamps, s.rays, s.seed) {}
+        : count(s.set.patches.size()), points(s.budget.rays), sky(kMaxTogether), caster(s.caster),
+          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light) {}
     std::vector<uint16_t> count;     // per patch of the set, zero between rows
     std::vector<uint32_t> touched;
     std::vector<SurfacePoint> points;
@@ -63,22 +66,26 @@ struct RowCaster::State {
     RayCaster caster;                // leaves the trail of the range
     LampLight lamps;
     SightMap sight;
+    RowError error;
   };
 
   const Scene& scene;
   const PatchSet& set;
   const RayCaster& caster;
-  const uint32_t rays;
+  const RayBudget budget;
   const uint64_t seed;
   const SobolTable sobol;
   const LampTree lamps;
+  const MadeUpLight light;
   tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
 
+  // Of patches together.
+  uint32_t raysFor(uint32_t first, uint32_t end, Scratch& s) const;
   void castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const;
 };
 
-RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed)
-    : state_(new State{scene, set, caster, rays, seed, SobolTable(rays), LampTree(set), {}}) {}
+RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed)
+    : state_(new State{scene, set, caster, budget, seed, SobolTable(budget.rays), LampTree(set), MadeUpLight(set), {}}) {}
 RowCaster::~RowCaster() = default;
 
 HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const {
@@ -87,7 +94,8 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   scratch->caster = state_->caster.leaving(trail);
   const size_t n = end - first;
   HitRows rows;
-  rows.rays.assign(n, state_->rays);
+  rows.rays.assign(n, 0);
+  rows.square_error.assign(n, 0);
   rows.start.assign(n + 1, 0);
   rows.sky.assign(n, 0);
   rows.absorbed.assign(n, 0);
@@ -101,22 +109,52 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   return rows;
 }
 
+// From the errors of a few of them with few rays.
+uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) const {
+  if (!(budget.target_error > 0) || budget.rays <= kLeastRays) return budget.rays;
+  const uint32_t step = std::clamp((end - first) / kLeastTried, 1u, kTriedOf);
+  double square = 0;
+  uint32_t tried = 0;
+  for (uint32_t begin = first; begin < end; begin += step, ++tried) {
+    // Of each few one by chance: those of a cell follow each other by orientation, and every fourth may be the outside of a wall.
+    const uint32_t patch = begin + static_cast<uint32_t>(mix64(set.patches[begin].name) % std::min(step, end - begin));
+    surfacePoints(scene, set, patch, sobol, seed, caster, std::span(s.points).first(kLeastRays));
+    s.error.clear();
+    for (uint32_t k = 0; k < kLeastRays; ++k) {
+      const SurfacePoint& from = s.points[k];
+      const Hit hit = s.caster.nearest({from.position, cosineDirection(frameOf(from.normal), from.u, from.v)});
+      if (hit.triangle == kNone) s.error.sky();
+      else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.error.hit(2 * k >= kLeastRays, j);
+    }
+    square += s.error.square(kLeastRays);
+  }
+  const double off = std::sqrt(square / tried) / static_cast<double>(budget.target_error);
+  uint32_t rays = kLeastRays;  // and half as many again, and so on: Sobol points are best by powers of two
+  for (double left = off; left > 1 && rays < budget.rays; left /= kHalfAgain) rays += (rays & (rays - 1)) == 0 ? rays / 2 : rays / 3;
+  return std::min(rays, budget.rays);
+}
+
 void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const {
+  const uint32_t rays = raysFor(first, end, s);
+  const std::span<SurfacePoint> points = std::span(s.points).first(rays);
   for (uint32_t patch = first; patch < end; ++patch) {
     const size_t i = patch - range_first;
-    surfacePoints(scene, set, patch, sobol, seed, caster, s.points);
-    if (!lamps.empty()) s.lamps.aim(patch);
+    rows.rays[i] = rays;
+    surfacePoints(scene, set, patch, sobol, seed, caster, points);
+    if (!lamps.empty()) s.lamps.aim(patch, rays);
+    s.error.clear();
     SkyRays& sky = s.sky[patch - first];
     sky.look.clear();
     sky.main.clear();
     s.sight.clear();
     std::array<uint32_t, kNarrowCells.size()> near{};
     for (size_t k = 0; k < rays; ++k) {
-      const SurfacePoint& from = s.points[k];
+      const SurfacePoint& from = points[k];
       const Ray ray{from.position, cosineDirection(frameOf(from.normal), from.u, from.v)};
       const Hit hit = s.caster.nearest(ray);
       if (hit.triangle == kNone) {
         ++rows.sky[i];
+        s.error.sky();
         (k < lookingRays(rays) ? sky.look : sky.main).push_back({ray.origin, ray.direction, dot(ray.direction, from.normal)});
         continue;
       }
@@ -133,6 +171,7 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
         continue;
       }
       if (s.count[j]++ == 0) s.touched.push_back(j);
+      s.error.hit(2 * k >= rays, j);
       if (set.patches[j].emits()) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
     }
     for (auto* reached : {&sky.look, &sky.main})
@@ -146,6 +185,7 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
       s.count[j] = 0;
     }
     rows.start[i + 1] = rows.column.size();
+    rows.square_error[i] = static_cast<float>(s.error.square(rays));
     s.touched.clear();
     done.add();
   }
@@ -181,6 +221,7 @@ HitRows joined(std::vector<HitRows> ranges) {
   join(&HitRows::column, entries);
   join(&HitRows::count, entries);
   for (const auto member : {&HitRows::rays, &HitRows::sky, &HitRows::absorbed, &HitRows::buried}) join(member, n);
+  join(&HitRows::square_error, n);
   join(&HitRows::sky_fraction, n);
   join(&HitRows::sky_means, n);
   join(&HitRows::lamps, n);
@@ -188,9 +229,9 @@ HitRows joined(std::vector<HitRows> ranges) {
   return all;
 }
 
-HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed, WorkCount& done) {
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done) {
   const std::vector<uint32_t> start = castRanges(set);
-  const RowCaster rows(scene, set, caster, rays, seed);
+  const RowCaster rows(scene, set, caster, budget, seed);
   std::vector<HitRows> parts(start.size() - 1);
   tbb::parallel_for(size_t{0}, parts.size(), [&](size_t r) { parts[r] = rows.cast(start[r], start[r + 1], nullptr, done); });
   return joined(std::move(parts));

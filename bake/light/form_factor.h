@@ -28,13 +28,22 @@ namespace ff::bake {
 inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
 inline constexpr double kMaxRays = 0.6;
 
-// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to `rays`.
+// How many rays a patch casts: `rays`; or, where an error is asked for, as many as its neighbourhood needs for that: kLeastRays to `rays`.
+struct RayBudget {
+  RayBudget(uint32_t fixed, float error = 0) : rays(fixed), target_error(error) {}
+  uint32_t rays;        // 1 to 65535
+  float target_error;   // root mean square over patches, of a row's light: row_error.h; 0: no error is asked for
+};
+inline constexpr uint32_t kLeastRays = 256;
+
+// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to their `rays`.
 struct HitRows {
   std::vector<uint32_t> rays;      // per patch
   std::vector<uint64_t> start;     // patches + 1
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
+  std::vector<float> square_error;       // per patch: RowError::square(); left behind by renumber()
   std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
   std::vector<SkyMeans> sky_means;       // per patch
   std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
@@ -53,8 +62,8 @@ std::vector<uint32_t> castRanges(const PatchSet& set);
 // Casts the rows of ranges of patches; rays towards lamps and, where it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
 class RowCaster {
  public:
-  // rays <= 65535. All outlive it.
-  RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed);
+  // All outlive it.
+  RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed);
   ~RowCaster();
   // The rows of one of castRanges(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, 2 bytes a patch of the
   // set. trail: where the rays go is added to it; may be null. done: counts patches.
@@ -69,7 +78,7 @@ class RowCaster {
 HitRows joined(std::vector<HitRows> ranges);
 
 // Casts all rows on all of TBB's threads.
-HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays, uint64_t seed, WorkCount& done);
+HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done);
 
 // Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
 inline float exposedFraction(const HitRows& rows, size_t patch) {

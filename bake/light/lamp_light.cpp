@@ -10,7 +10,7 @@ namespace ff::bake {
 namespace {
 
 // Of a row's rays: those that look around, and the least that are cast towards lamps.
-constexpr uint32_t kLookShare = 32, kLeastShare = 16, kLeastRays = 16;
+constexpr uint32_t kLookShare = 32, kLeastShare = 16, kLeastLampRays = 16;
 constexpr double kError = 0.02;  // relative, of a patch's light of lamps: more rays until then
 // What is known of an aim before a ray was sent there: that it is seen by this much, with the weight of one ray.
 constexpr double kSeenBefore = 0.25;
@@ -29,13 +29,14 @@ LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group) {
   return at != lamps.end() && at->group == group ? *at : *lamps.insert(at, {group, {}});
 }
 
-LampLight::LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t rays,
+LampLight::LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t most_rays,
                      uint64_t seed)
-    : scene_(scene), set_(set), caster_(caster), tree_(tree), row_rays_(rays), max_rays_(std::max(rays, kLeastRays)), seed_(seed),
-      sobol_(max_rays_), aim_of_node_(tree.nodes()) {}
+    : scene_(scene), set_(set), caster_(caster), tree_(tree), seed_(seed), sobol_(std::max(most_rays, kLeastLampRays)), aim_of_node_(tree.nodes()) {}
 
-void LampLight::aim(uint32_t patch) {
+void LampLight::aim(uint32_t patch, uint32_t rays) {
   patch_ = patch;
+  row_rays_ = rays;
+  max_rays_ = std::max(rays, kLeastLampRays);
   count_ = 0;
   light_.clear();
   tree_.aimsOf(receiverOf(set_, patch), aims_);
@@ -54,7 +55,7 @@ void LampLight::aim(uint32_t patch) {
   }
   setChances();
 
-  points_.resize(std::max(kLeastRays, max_rays_ / kLookShare));
+  points_.resize(std::max(kLeastLampRays, max_rays_ / kLookShare));
   surfacePoints(scene_, set_, patch, sobol_, seed_ ^ kLookSeed, caster_, points_);
   std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1), square(aims_.size());
   double mean = 0;
@@ -82,7 +83,7 @@ void LampLight::aim(uint32_t patch) {
   }
   setChances();
   const double wanted = mean > 0 ? std::max(0.0, second / (mean * mean) - 1) / (kError * kError) : 0;
-  count_ = std::max({kLeastRays, max_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(max_rays_, wanted))});
+  count_ = std::max({kLeastLampRays, max_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(max_rays_, wanted))});
 }
 
 LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) const {

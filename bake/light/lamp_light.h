@@ -25,12 +25,13 @@ LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group);
 // finish().
 class LampLight {
  public:
-  // rays: of a patch's row. A patch casts up to as many towards lamps, fewer where they are seen whole. All outlive it.
-  LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t rays, uint64_t seed);
+  // most_rays: of any patch's row. All outlive it.
+  LampLight(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& tree, uint32_t most_rays, uint64_t seed);
 
   // Looks around with a few rays: which lamps the patch sees, and how many rays it needs. The rays are then forgotten, so that
   // the estimate does not depend on what they found.
-  void aim(uint32_t patch);
+  // rays: of the patch's row. It casts up to as many towards lamps, fewer where they are seen whole.
+  void aim(uint32_t patch, uint32_t rays);
   // A cosine-distributed ray of the row that ends on a patch. cosine: between ray and normal where it starts.
   void hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& ray, Vec3 at, float cosine);
   // Casts the rays; by group, ascending.
@@ -50,9 +51,9 @@ class LampLight {
   const PatchSet& set_;
   const RayCaster& caster_;
   const LampTree& tree_;
-  const uint32_t row_rays_, max_rays_;
   const uint64_t seed_;
   const SobolTable sobol_;
+  uint32_t row_rays_ = 0, max_rays_ = 0;
   uint32_t patch_ = 0, count_ = 0;        // count: rays towards lamps
   std::vector<LampTree::Aim> aims_;
   std::vector<double> chance_, cumulative_;  // by aim

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstring>
+#include <numeric>
 #include <optional>
 
 #include "bake/bake_code.h"
@@ -169,13 +170,14 @@ void takeValues(ByteReader& in, std::span<const std::byte> raw, size_t n, std::v
 
 }  // namespace
 
-RayUnits::RayUnits(const Scene& scene, const PatchSet& set, uint32_t rays, uint64_t seed, BakeCache& cache)
-    : scene_(scene), set_(set), rays_(rays), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)) {}
+RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache)
+    : scene_(scene), set_(set), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)) {}
 
 Digest RayUnits::settings() const {
   ByteWriter b;
   b.u32(kBakeCode);
-  b.u32(rays_);
+  b.u32(budget_.rays);
+  b.f32(budget_.target_error);
   b.u64(seed_);
   b.f32(set_.cell_m);
   b.u8(static_cast<uint8_t>(scene_.backs));
@@ -207,6 +209,7 @@ std::vector<std::byte> RayUnits::encode(const HitRows& rows, const RayTrail& tra
   raw.u32(static_cast<uint32_t>(n));
   putValues(raw, rows.rays);
   for (const auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) putValues(raw, *values);
+  putValues(raw, rows.square_error);
   putValues(raw, rows.sky_fraction);
   putValues(raw, rows.sky_means);
   putValues(raw, rows.narrow);
@@ -257,6 +260,7 @@ std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte>
   HitRows rows;
   takeValues(raw, parts[0], n, rows.rays);
   for (auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) takeValues(raw, parts[0], n, *values);
+  takeValues(raw, parts[0], n, rows.square_error);
   takeValues(raw, parts[0], n, rows.sky_fraction);
   takeValues(raw, parts[0], n, rows.sky_means);
   takeValues(raw, parts[0], n, rows.narrow);
@@ -296,14 +300,14 @@ std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte>
 // Thread-safe.
 class Counting {
  public:
-  void add(UnitState state, uint64_t patches) {
+  void add(UnitState state, uint64_t rays) {
     ++units_[static_cast<size_t>(state)];
-    if (state == UnitState::kClean) patches_ += patches;
+    rays_ += rays;
   }
-  UnitCounts counts() const { return {.clean = units_[2], .stale = units_[1], .missing = units_[0], .clean_patches = patches_}; }
+  UnitCounts counts() const { return {.clean = units_[2], .stale = units_[1], .missing = units_[0], .clean_rays = rays_}; }
 
  private:
-  std::atomic<uint64_t> units_[3] = {}, patches_{0};  // by UnitState
+  std::atomic<uint64_t> units_[3] = {}, rays_{0};  // by UnitState
 };
 
 }  // namespace
@@ -329,11 +333,11 @@ HitRows RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& cou
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
     const UnitState state = load(u, &rows[u]);
     const uint32_t patches = start_[u + 1] - start_[u];
-    found.add(state, patches);
+    found.add(state, std::accumulate(rows[u].rays.begin(), rows[u].rays.end(), uint64_t{0}));
     if (state == UnitState::kClean) done.add(patches);
   });
   counts = found.counts();
-  const RowCaster casting(scene_, set_, caster, rays_, seed_);
+  const RowCaster casting(scene_, set_, caster, budget_, seed_);
   tbb::enumerable_thread_specific<RayTrail> trails([&] { return RayTrail(contents_.box()); });
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
     if (!rows[u].rays.empty()) return;
@@ -350,7 +354,7 @@ UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
   Counting found;
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
     const uint32_t patches = start_[u + 1] - start_[u];
-    found.add(load(u, nullptr), patches);
+    found.add(load(u, nullptr), 0);
     done.add(patches);
   });
   changed.clear();

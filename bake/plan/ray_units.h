@@ -22,14 +22,14 @@ enum class UnitState : uint8_t {
 
 struct UnitCounts {
   uint64_t clean = 0, stale = 0, missing = 0;
-  uint64_t clean_patches = 0;  // of clean units
+  uint64_t clean_rays = 0;  // of clean units
   uint64_t units() const { return clean + stale + missing; }
 };
 
 class RayUnits {
  public:
-  // All outlive it. rays, seed: castRows().
-  RayUnits(const Scene& scene, const PatchSet& set, uint32_t rays, uint64_t seed, BakeCache& cache);
+  // All outlive it. budget, seed: castRows().
+  RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache);
 
   // The same as castRows(), and what the cache had. Hits of units that it had are not cast; those of others are stored. Memory: a bit a cube of
   // Contents::box() for each thread, 16 bytes for each cube of it that holds anything, and castRows()'s.
@@ -47,7 +47,7 @@ class RayUnits {
 
   const Scene& scene_;
   const PatchSet& set_;
-  const uint32_t rays_;
+  const RayBudget budget_;
   const uint64_t seed_;
   BakeCache& cache_;
   const Contents contents_;

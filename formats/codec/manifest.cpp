@@ -89,7 +89,7 @@ Result<void> readInfo(const Section& s, WorldInfo& info) {
   if (auto ok = finished(r, s); !ok) return ok;
   if (!(info.cell_m > 0) || !std::isfinite(info.cell_m) || !std::isfinite(info.origin[0] + info.origin[1] + info.origin[2]) || !finite(info.bounds.lo) ||
       !finite(info.bounds.hi) || info.bounds.empty() || !std::isfinite(info.row_total_deviation) ||
-      !(info.row_total_deviation >= 0) || !std::isfinite(info.area_m2) || !std::isfinite(info.absorbed_fraction) ||
+      !(info.row_total_deviation >= 0) || !(info.target_error >= 0) || !(info.row_error >= 0) || !std::isfinite(info.target_error + info.row_error) || !std::isfinite(info.area_m2) || !std::isfinite(info.absorbed_fraction) ||
       info.quanta > kMaxQuanta)
     return broken(s.record.offset, "world information holds a value that cannot be");
   return {};

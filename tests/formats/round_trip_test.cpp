@@ -125,6 +125,9 @@ TEST(World, ReadsWhatWasWritten) {
     EXPECT_EQ(world->info().bake_key, w.info.bake_key);
     EXPECT_EQ(world->info().absorbed_fraction, w.info.absorbed_fraction);
     EXPECT_EQ(world->info().row_total_deviation, w.info.row_total_deviation);
+    EXPECT_EQ(world->info().fewest_rays, w.info.fewest_rays);
+    EXPECT_EQ(world->info().target_error, w.info.target_error);
+    EXPECT_EQ(world->info().row_error, w.info.row_error);
     EXPECT_EQ(world->info().seed, w.info.seed);
   }
 }

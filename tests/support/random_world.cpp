@@ -162,13 +162,15 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
     tile_nodes = std::move(above);
   }
   w.info.cell_m = 1;
-  w.info.rays = 4096;
+  w.info.rays = w.info.fewest_rays = 4096;
   w.info.quanta = settings.quanta;
   w.info.seed = settings.seed;
   for (uint8_t& b : w.info.bake_key) b = static_cast<uint8_t>(below(random, 256));
   w.info.generator = "random_world";
   w.info.scene = "random.glb";
   w.info.row_total_deviation = 0.25f;
+  w.info.target_error = 0.02f;
+  w.info.row_error = 0.018f;
   w.info.area_m2 = 1234.5;
   w.info.triangles = 42;
   w.info.absorbed_fraction = 0.0625;

@@ -73,7 +73,7 @@ Result<void> writeSimulatedWorld(const std::string& path, uint32_t levels) {
   if (!index) return index.error();
   WorldInfo info;
   info.quanta = kQuanta;
-  info.rays = 4096;
+  info.rays = info.fewest_rays = 4096;
   info.generator = "simulated_world";
   info.scene = "simulated";
   std::mt19937_64 random(1);

@@ -245,7 +245,7 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
     addStrips(levels[l], l, starts[l], l + 1 < settings.levels ? world.parents[l] : none, world);
   }
   world.info.cell_m = 1;
-  world.info.rays = settings.quanta;
+  world.info.rays = world.info.fewest_rays = settings.quanta;
   // A row of the top has the sum of its patches' samples.
   uint32_t most = 0;
   for (const Node& node : levels.back().nodes) most = std::max(most, node.quanta);

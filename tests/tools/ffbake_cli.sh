@@ -29,4 +29,14 @@ refused '0.0625 to 16' 'wall=0'
 refused '0.0625 to 16' 'wall=nan'
 refused 'named "absent"' 'absent=2'
 refused 'named "a=b"' 'a=b=2'
+for error in 0 -1 100 2%% two ''; do
+  expect 1 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --quiet --no-cache --target-error "$error"
+  grep -qF 'is not a per cent' err.txt || fail "--target-error '$error': $(cat err.txt)"
+done
+bake_to() { expect 0 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --no-cache --quiet --json "$@"; python3 -c 'import json; b = json.load(open("out.txt")); print(b["rays"] // b["levels"][0]["nodes"], b["fewest_rays"])'; }
+read -r coarse least <<<"$(bake_to --target-error 8)"
+read -r fine _ <<<"$(bake_to --target-error 1.5%)"
+read -r most _ <<<"$(bake_to --target-error 0.1% --rays 300)"
+[ "$coarse" -lt "$fine" ] && [ "$least" = 256 ] && [ "$most" -le 300 ] || fail "rays by error: $coarse (least $least), $fine, $most"
+rm -f w.*
 echo "ffbake: objects are chosen by name or refused"

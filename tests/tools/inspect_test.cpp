@@ -174,7 +174,7 @@ TEST_F(Inspect, FindsACountOfSkyThatContradictsTheFractionOfSky) {
   Outcome run = inspect("verify " + world());
   EXPECT_EQ(run.code, 4);
   EXPECT_NE(run.text.find("node 7: 0 of 299 samples are sky"), std::string::npos) << run.text;
-  w.info.rays = 4096;  // of a hundredth, so many rays are off by 6 * 0.47 quanta and less
+  w.info.rays = w.info.fewest_rays = 4096;  // of a hundredth, so many rays are off by 6 * 0.47 quanta and less
   write(w);
   EXPECT_EQ(inspect("verify " + world()).code, 0);
 }

@@ -63,6 +63,8 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
   }
   fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
              s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
+  fmt::print("  {} rays a patch (at least {}), which leave an error of {:.2g} % in the light that a patch gets (two standard deviations)\n", s.mean_rays, s.fewest_rays,
+             static_cast<double>(s.row_error) * 100);
   fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake; {:.2g} GB of memory at most\n", s.seconds,
              static_cast<double>(s.cast_rays) * 1e-6 / s.seconds, static_cast<double>(peakBytes()) * 1e-9);
   fmt::print("  seconds:");
@@ -81,7 +83,7 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
     levels.push_back({{"nodes", l.nodes}, {"tiles", l.tiles}, {"entries", l.entries}, {"stored_bytes", l.stored_bytes}});
   for (const auto& [phase, seconds] : phases) seconds_by_phase[phase] = seconds;
   return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
-          {"area_m2", s.area_m2},     {"rays", s.rays}, {"rays_cast", s.cast_rays},
+          {"area_m2", s.area_m2},     {"rays", s.rays}, {"rays_cast", s.cast_rays}, {"fewest_rays", s.fewest_rays}, {"row_error", s.row_error},
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},

@@ -112,6 +112,9 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"origin", info.origin},
                     {"bounds", toJson(info.bounds)},
                     {"rays", info.rays},
+                    {"fewest_rays", info.fewest_rays},
+                    {"target_error", info.target_error},
+                    {"row_error", info.row_error},
                     {"samples", info.quanta},
                     {"seed", info.seed},
                     {"bake_key", hexText(info.bake_key)},
@@ -135,8 +138,10 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
              info.bounds.lo.y, info.bounds.lo.z, info.bounds.hi.x, info.bounds.hi.y, info.bounds.hi.z, e.x, e.y, e.z);
   fmt::print(out.to, "settings     cell {:g} m, {} rays a patch, {} samples a row, seed {}\n", info.cell_m, info.rays, info.quanta,
              info.seed);
-  fmt::print(out.to, "measured     absorbed {:.4f} %, row totals within {:.2f} %\n", 100 * info.absorbed_fraction,
-             100 * static_cast<double>(info.row_total_deviation));
+  if (info.target_error > 0)
+    fmt::print(out.to, "             rays were cast for an error of {:.2g} %, at least {} a patch\n", 100 * static_cast<double>(info.target_error), info.fewest_rays);
+  fmt::print(out.to, "measured     absorbed {:.4f} %, row totals within {:.2f} %, error of rows from rays {:.2f} %\n",
+             100 * info.absorbed_fraction, 100 * static_cast<double>(info.row_total_deviation), 100 * static_cast<double>(info.row_error));
   printLampGroups(info.lamp_groups, out.to);
   printLights(info.lights, out.to);
   if (info.origin != std::array<double, 3>{})

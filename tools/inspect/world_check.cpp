@@ -152,7 +152,7 @@ class Checker {
       const auto total = static_cast<double>(n.row_total), f = static_cast<double>(n.sky_fraction);
       if (!(level.area[i] > 0) || n.quanta == 0 || !(total > 0) || total >= kMaxTotal) continue;
       const double expected = n.quanta * f / total;
-      const double deviation = world_.info().rays > 0 ? n.quanta * std::sqrt(std::max(0.0, f * (1 - f)) / world_.info().rays) : 0;
+      const double deviation = world_.info().fewest_rays > 0 ? n.quanta * std::sqrt(std::max(0.0, f * (1 - f)) / world_.info().fewest_rays) : 0;
       const double allowed = 1 + kFractionStep * expected + kDeviations * deviation;
       double off = std::abs(n.sky - expected);
       if (f >= 1 && n.sky > expected) off = 0;  // was clamped

@@ -1,0 +1,119 @@
+// Rays are cast until rows are as good as was asked for: what they say of themselves, against rows of 16 times as many rays.
+#include "bake/light/row_error.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <iostream>
+#include <numeric>
+
+#include "bake/bake.h"
+#include "bake/import/gltf_import.h"
+#include "bake/light/form_factor.h"
+#include "formats/read/reader.h"
+#include "tests/support/analytic_scenes.h"
+#include "tests/support/random_world.h"
+#include "tools/scene/glb.h"
+#include "tools/scene/town.h"
+
+namespace ff::bake {
+namespace {
+
+// What a row brings of each made-up light and the sky, by patch.
+using Brought = std::vector<std::array<double, MadeUpLight::kLights>>;
+Brought broughtBy(const HitRows& rows, const MadeUpLight& light) {
+  Brought brought(rows.rays.size());
+  for (size_t i = 0; i < brought.size(); ++i)
+    for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
+      double sum = rows.sky[i];
+      for (uint64_t k = rows.start[i]; k < rows.start[i + 1]; ++k) sum += rows.count[k] * static_cast<double>(light.radiosity(rows.column[k], l));
+      brought[i][l] = sum / rows.rays[i];
+    }
+  return brought;
+}
+
+// Root mean square over patches of the relative error, as RowError defines it.
+double difference(const Brought& a, const Brought& truth) {
+  double square = 0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    double off = 0, all = 0;
+    for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
+      off += (a[i][l] - truth[i][l]) * (a[i][l] - truth[i][l]) / MadeUpLight::kLights;
+      all += truth[i][l] / MadeUpLight::kLights;
+    }
+    square += off / std::pow(std::max(all, RowError::kFloor), 2);
+  }
+  return std::sqrt(square / static_cast<double>(a.size()));
+}
+
+TEST(RowError, IsWhatSixteenTimesAsManyRaysSay) {
+  const formats::TemporaryFolder folder;
+  const auto town = tools::makeTown({.patches = 2000});
+  ASSERT_TRUE(town);
+  ASSERT_TRUE(tools::writeGlb(tools::townModel(*town, false), folder.file("town.glb")));
+  const auto scene = importGltf(folder.file("town.glb"));
+  ASSERT_TRUE(scene);
+  const auto caster = RayCaster::create(*scene);
+  const auto set = makePatches(*scene, {.cell_m = 1}, &*caster);
+  ASSERT_TRUE(set);
+  const MadeUpLight light(*set);
+  WorkCount done;
+  for (const float target : {0.03f, 0.015f}) {
+    const HitRows rows = castRows(*scene, *set, *caster, {16384, target}, 1, done);
+    const auto n = static_cast<double>(rows.rays.size());
+    const double mean = std::accumulate(rows.rays.begin(), rows.rays.end(), 0.0) / n;
+    const double said = std::sqrt(std::accumulate(rows.square_error.begin(), rows.square_error.end(), 0.0) / n);
+    const Brought truth = broughtBy(castRows(*scene, *set, *caster, static_cast<uint32_t>(16 * mean), 77, done), light);
+    const double off = difference(broughtBy(rows, light), truth);
+    std::cout << "asked for " << target << ": " << mean << " rays a patch, " << said << " said, " << off << " measured\n";
+    EXPECT_LT(off, 1.1 * static_cast<double>(target));
+    EXPECT_NEAR(said, off, 0.2 * off);
+    EXPECT_GT(mean, kLeastRays);
+    EXPECT_GT(*std::max_element(rows.rays.begin(), rows.rays.end()), kLeastRays);  // more where it is needed,
+    EXPECT_EQ(*std::min_element(rows.rays.begin(), rows.rays.end()), kLeastRays);  // fewer where it is not
+  }
+}
+
+TEST(RowError, IsZeroWhereTheHalvesAgreeAndLargeWhereTheyDoNot) {
+  const Scene scene = test::closedBox({.5f, .5f, .5f}, {});
+  const auto set = makePatches(scene, {.cell_m = 0.25f});
+  ASSERT_TRUE(set);
+  const MadeUpLight light(*set);
+  RowError error(light);
+  uint32_t some = 0;  // a patch that shines in some of the lights
+  while (light.radiosity(some, 0) == 0) ++some;
+  EXPECT_FLOAT_EQ(light.radiosity(some, 0), 1);
+  for (const int half : {0, 1}) error.hit(half, some);
+  EXPECT_EQ(error.square(2), 0);
+  error.clear();
+  error.hit(0, some);
+  error.hit(0, some);
+  double lit = 0;
+  for (size_t l = 0; l < MadeUpLight::kLights; ++l) lit += static_cast<double>(light.radiosity(some, l)) / MadeUpLight::kLights;
+  EXPECT_NEAR(error.square(2), lit * 4 / std::pow(std::max(2 * lit, 2 * RowError::kFloor), 2), 1e-6);
+  error.clear();
+  error.hit(0, some);  // and 999 that end on nothing
+  EXPECT_LT(error.square(1000), 1e-4);
+}
+
+TEST(RowError, TheManifestHoldsWhatWasAskedForAndMeasured) {
+  const formats::TemporaryFolder folder;
+  const Scene scene = test::parallelSquares();
+  const auto stats = bakeWorld(scene, {.cell_m = 0.125f, .rays = 4096, .target_error = 0.03f}, folder.file("w.ffm"));
+  ASSERT_TRUE(stats) << stats.error().line();
+  const auto world = formats::World::open(folder.file("w.ffm"));
+  ASSERT_TRUE(world);
+  EXPECT_EQ(world->info().target_error, 0.03f);
+  EXPECT_EQ(world->info().rays, stats->mean_rays);
+  EXPECT_GE(world->info().fewest_rays, kLeastRays);
+  EXPECT_GT(world->info().row_error, 0.003f);
+  EXPECT_LT(world->info().row_error, 0.033f);
+  const auto fixed = bakeWorld(scene, {.cell_m = 0.125f, .rays = 64}, folder.file("w.ffm"));
+  ASSERT_TRUE(fixed);
+  EXPECT_EQ(fixed->mean_rays, 64u);
+  EXPECT_GT(fixed->row_error, stats->row_error);
+  EXPECT_FALSE(bakeWorld(scene, {.cell_m = 0.125f, .target_error = 1}, folder.file("w.ffm")));
+}
+
+}  // namespace
+}  // namespace ff::bake
