@@ -1,4 +1,4 @@
-// ffbake scene.glb -o world.ffm: bakes a glTF scene into a world.
+// ffbake scene.glb... -o world.ffm: bakes a glTF scene into a world.
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <cmath>
@@ -14,7 +14,7 @@
 #include <fmt/core.h>
 
 #include "bake/bake.h"
-#include "bake/import/gltf_import.h"
+#include "bake/import/files.h"
 #include "bake/plan/cache.h"
 #include "formats/storage/storage.h"
 #include "formats/version.h"
@@ -80,13 +80,14 @@ void say(const std::string& line) { std::fprintf(stderr, "%s\n", line.c_str()); 
 
 int run(int argc, char** argv) {
   CLI::App app{"Bakes a glTF scene into a Formfield world: form factors of every patch, at every level.", "ffbake"};
-  std::string scene_path, out;
+  std::vector<std::string> scenes;
+  std::string out;
   bake::BakeSettings settings;
   std::string budget = "60k";
   bool quiet = false, json = false, no_geometry = false, json_progress = false, no_cache = false, status = false, clean = false;
   std::string cache_folder;
   uint64_t cache_limit = uint64_t{20} << 30;
-  app.add_option("scene", scene_path, "the scene: .glb or .gltf; needed unless --clean is given");
+  app.add_option("scene", scenes, "the scene: .glb or .gltf files of one space, or folders of them; needed unless --clean is given");
   app.add_option("-o,--output", out, "the world to write, NAME.ffm; shards are written beside it")->required();
   app.add_option("--patch-size", settings.cell_m, "edge of a patch in metres (default: from --patch-budget)")
       ->check(CLI::PositiveNumber);
@@ -159,9 +160,11 @@ int run(int argc, char** argv) {
     fmt::print("{}: {:.1f} MB removed\n", cache_folder, static_cast<double>(*removed) * 1e-6);
     return 0;
   }
-  if (scene_path.empty()) return fail({ErrorCode::kUsage, "", "", "no scene is given", "name a .glb or .gltf file"});
+  const auto files = bake::sceneFiles(scenes);
+  if (!files) return fail(files.error());
   if (status && no_cache) return fail({ErrorCode::kUsage, "--status", "", "there is no cache to look into with --no-cache", ""});
-  if (auto ok = checkOutputs(scene_path, out, settings.vdb_path); !ok) return fail(ok.error());
+  for (const std::string& file : *files)
+    if (auto ok = checkOutputs(file, out, settings.vdb_path); !ok) return fail(ok.error());
 
   std::signal(SIGPIPE, SIG_IGN);  // a reader of stderr that is gone is no reason to end; one of stdout is an error at the end
   tools::StopSignals signals("ffbake");
@@ -172,7 +175,7 @@ int run(int argc, char** argv) {
     last = Clock::now();
     printer("import", done, total);
   };
-  auto scene = bake::importGltf(scene_path, import);
+  auto scene = bake::importFiles(*files, import);
   printer.endLine();
   if (!scene) return fail(scene.error());
   for (const std::string& warning : scene->warnings) say("ffbake: warning: " + warning);

@@ -12,16 +12,14 @@ constexpr int kLitLog = 2;  // cells of a cube that is lit as one, log2
 }  // namespace
 
 MadeUpLight::MadeUpLight(const PatchSet& set) {
-  for (const Patch& p : set.patches) {
-    twice_albedo_.push_back(2 * (p.albedo.x + p.albedo.y + p.albedo.z) / 3);
-    lit_.push_back(static_cast<uint8_t>(mix64(hilbertAncestor(p.key, kLitLog) * kOrientations + p.orientation + 1)));
-  }
+  lit_.reserve(set.patches.size());
+  for (const Patch& p : set.patches) lit_.push_back(static_cast<uint8_t>(mix64(hilbertAncestor(p.key, kLitLog) * kOrientations + p.orientation + 1)));
 }
 
 double RowError::square(uint32_t rays) const {
   double off = 0, all = 0;
   for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
-    const auto a = static_cast<double>(sums_[0][l]), b = static_cast<double>(sums_[1][l]);
+    const auto a = static_cast<double>(lit_[0][l]), b = static_cast<double>(lit_[1][l]);
     off += (a - b) * (a - b);
     all += a + b + sky_;
   }

@@ -73,7 +73,7 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
     const uint64_t cube = hilbertAncestor(set.patches[p].key, kCastLog);
     const uint32_t first = p;
     names.clear();
-    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kCastLog) == cube; ++p) names.add(set.patches[p].name);
+    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kCastLog) == cube; ++p) names.add(set.patches[p].name).add(set.patches[p].orientation);
     patches_[cube] = {first, p, names.digest()};
   }
   for (uint32_t p = 0; p < set.patches.size(); ++p)

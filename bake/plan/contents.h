@@ -25,7 +25,7 @@ class Contents {
   const CubeBox& box() const { return box_; }
   // Of a cube, in the box or not.
   Digest cube(const CubeBox::Cube& cube) const;
-  // Of the patches whose cells lie in a cube of 2^kCastLog cells, by its Hilbert key: their names, in order. Zeros: there are none.
+  // Of the patches whose cells lie in a cube of 2^kCastLog cells, by its Hilbert key: their names and orientations, in order. Zeros: there are none.
   Digest patchesIn(uint64_t cast_cube) const;
   // Of patches [first, end): all that a ray that starts on them depends on.
   Digest surface(uint32_t first, uint32_t end) const;

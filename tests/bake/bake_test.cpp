@@ -1,5 +1,6 @@
 // Whole bakes of small scenes, read back through formats/read/reader.h.
 #include "bake/bake.h"
+#include "bake/estimate.h"
 
 #include <gtest/gtest.h>
 
@@ -50,6 +51,15 @@ TEST_F(Bake, GivesTheSameBytesForAnyNumberOfThreads) {
   EXPECT_GE(one.size(), 3u);  // manifest, strips, geometry
   EXPECT_TRUE(one == read(2));
   EXPECT_TRUE(one == read(3));
+}
+
+TEST_F(Bake, SaysNoToADiskThatIsTooSmallBeforeTheFirstRay) {
+  EXPECT_TRUE(checkSpace(path("w.ffm"), {.disk_bytes = 1}));
+  const auto full = checkSpace(path("w.ffm"), {.disk_bytes = 1e18});
+  ASSERT_FALSE(full);
+  EXPECT_EQ(full.error().code, ErrorCode::kIo);
+  EXPECT_NE(full.error().line().find("1000 PB of world do not fit"), std::string::npos) << full.error().line();
+  EXPECT_TRUE(checkSpace("/nowhere/at/all/w.ffm", {.disk_bytes = 1e18}));  // others say what is wrong with it
 }
 
 // Worlds are taken for the same where their keys are (ffchart keeps bakes by them). Two materials that differ in name alone, and a pattern that

@@ -1,0 +1,154 @@
+#include "bake/import/files.h"
+
+#include <xxhash.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cstring>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <system_error>
+#include <utility>
+
+#include "formats/storage/storage.h"
+
+namespace ff::bake {
+namespace {
+
+bool isScene(const std::string& name) {
+  std::string lower = name;
+  for (char& c : lower) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return lower.ends_with(".glb") || lower.ends_with(".gltf");
+}
+
+using ImageKey = std::pair<uint64_t, uint64_t>;
+ImageKey keyOf(const Image& image) {
+  const XXH128_hash_t h = XXH3_128bits_withSeed(image.rgba.data(), image.rgba.size(), uint64_t{image.width} << 32 | image.height);
+  return {h.high64, h.low64};
+}
+
+template <class T>
+void append(std::vector<T>& to, std::vector<T>& from) {
+  to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
+}
+
+// Attributes that a scene has for all positions or for none: where some of all have them, the others get the default.
+template <class T>
+void appendAttribute(std::vector<T>& to, size_t positions_before, std::vector<T>& from, size_t positions) {
+  if (to.empty() && from.empty()) return;
+  to.resize(positions_before);
+  from.resize(positions);
+  append(to, from);
+}
+
+class Joiner {
+ public:
+  explicit Joiner(Scene first) : all_(std::move(first)) {
+    for (uint32_t i = 0; i < all_.images.size(); ++i) images_.emplace(keyOf(all_.images[i]), i);
+    hashes_.push_back(all_.content_hash);
+  }
+
+  // Errors (kUsage): too much for one scene.
+  Result<void> add(Scene scene) {
+    if (all_.positions.size() + scene.positions.size() >= kNone || all_.triangles.size() + scene.triangles.size() >= kNone)
+      return Error{ErrorCode::kUsage, scene.name, "", "with the files before it it has more corners than one scene may", "bake fewer files at a time"};
+    hashes_.push_back(scene.content_hash);
+    std::array<float, 3> shift;  // scenes far from zero have origins of their own
+    for (size_t a = 0; a < 3; ++a) shift[a] = static_cast<float>(scene.origin[a] - all_.origin[a]);
+    const Vec3 moved{shift[0], shift[1], shift[2]};
+    for (Vec3& p : scene.positions) p += moved;
+    for (formats::Light& light : scene.lights) light.position += moved;
+
+    const auto positions = static_cast<uint32_t>(all_.positions.size()), triangles = static_cast<uint32_t>(all_.triangles.size());
+    const auto materials = static_cast<uint32_t>(all_.materials.size());
+    const auto nodes = static_cast<uint32_t>(all_.node_names.size()), meshes = static_cast<uint32_t>(all_.mesh_names.size());
+    std::vector<uint32_t> image(scene.images.size());
+    for (size_t i = 0; i < image.size(); ++i) {
+      const auto [known, is_new] = images_.emplace(keyOf(scene.images[i]), static_cast<uint32_t>(all_.images.size()));
+      if (is_new) all_.images.push_back(std::move(scene.images[i]));
+      image[i] = known->second;
+    }
+    for (Material& m : scene.materials)
+      for (uint32_t* used : {&m.base_image, &m.emission_image})
+        if (*used != kNone) *used = image[*used];
+    for (Triangle& t : scene.triangles) {
+      for (uint32_t& v : t.v) v += positions;
+      t.material += materials;
+    }
+    for (Object& o : scene.objects) {
+      o.first_triangle += triangles;
+      if (o.node != kNone) o.node += nodes;
+      if (o.mesh != kNone) o.mesh += meshes;
+    }
+    appendAttribute(all_.uv0, positions, scene.uv0, scene.positions.size());
+    appendAttribute(all_.uv1, positions, scene.uv1, scene.positions.size());
+    appendAttribute(all_.colors, positions, scene.colors, scene.positions.size());
+    append(all_.positions, scene.positions);
+    append(all_.triangles, scene.triangles);
+    append(all_.materials, scene.materials);
+    append(all_.objects, scene.objects);
+    append(all_.node_names, scene.node_names);
+    append(all_.mesh_names, scene.mesh_names);
+    append(all_.lights, scene.lights);
+    for (std::string& line : scene.left_alone)
+      if (std::find(all_.left_alone.begin(), all_.left_alone.end(), line) == all_.left_alone.end()) all_.left_alone.push_back(std::move(line));
+    for (std::string& line : scene.warnings) all_.warnings.push_back(scene.name + ": " + line);
+    all_.without_area += scene.without_area;
+    return {};
+  }
+
+  Scene joined() {
+    if (hashes_.size() > 1) {
+      all_.name += " and " + std::to_string(hashes_.size() - 1) + " more";
+      XXH128_canonical_t digest;
+      XXH128_canonicalFromHash(&digest, XXH3_128bits(hashes_.data(), hashes_.size() * sizeof hashes_[0]));
+      std::memcpy(all_.content_hash.data(), digest.digest, all_.content_hash.size());
+    }
+    return std::move(all_);
+  }
+
+ private:
+  Scene all_;
+  std::map<ImageKey, uint32_t> images_;
+  std::vector<std::array<uint8_t, 16>> hashes_;
+};
+
+}  // namespace
+
+Result<std::vector<std::string>> sceneFiles(std::span<const std::string> paths) {
+  std::vector<std::string> files;
+  for (const std::string& path : paths) {
+    std::error_code unknown;
+    if (!std::filesystem::is_directory(path, unknown)) {
+      files.push_back(path);
+      continue;
+    }
+    const auto names = formats::posixStorage()->list(path);
+    if (!names) return names.error();
+    const size_t before = files.size();
+    for (const std::string& name : *names)
+      if (isScene(name)) files.push_back(path + (path.ends_with('/') ? "" : "/") + name);
+    if (files.size() == before) return Error{ErrorCode::kIo, path, "", "the folder holds no .glb or .gltf file", "name the scene's files"};
+  }
+  return files;
+}
+
+Result<Scene> importFiles(std::span<const std::string> files, const ImportLimits& limits) {
+  if (files.empty()) return Error{ErrorCode::kUsage, "", "", "no scene is given", "name a .glb or .gltf file"};
+  if (files.size() == 1) return importGltf(files[0], limits);
+  ImportLimits of_each = limits;
+  of_each.progress = {};
+  std::optional<Joiner> all;
+  for (size_t f = 0; f < files.size(); ++f) {
+    if (limits.progress) limits.progress(f, files.size());
+    auto scene = importGltf(files[f], of_each);
+    if (!scene) return scene;
+    if (!all) all.emplace(std::move(*scene));
+    else if (auto ok = all->add(std::move(*scene)); !ok) return ok.error();
+  }
+  if (limits.progress) limits.progress(files.size(), files.size());
+  return all->joined();
+}
+
+}  // namespace ff::bake
