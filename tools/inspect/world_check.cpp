@@ -66,6 +66,7 @@ struct Level {
 };
 
 constexpr double kFractionStep = 0x1p-11;  // of two values of 12 bits
+constexpr double kDimStep = 0x1p-40;       // of two weights of lamps below 2^-29, which have fewer bits
 constexpr double kDeviations = 6;
 
 class Checker {
@@ -321,7 +322,7 @@ class Checker {
         if (p.clamped[c] || larger < 0x1p-30 * area[node]) continue;
         const double off = std::abs(p.sum[c] - p.mine[c]) / larger;
         check_.worst_lamps = std::max(check_.worst_lamps, off);
-        if (off <= kFractionStep + kSumTolerance) continue;
+        if (off <= kFractionStep + kSumTolerance + kDimStep * area[node] / larger) continue;
         const uint32_t tile = world_.tileOf(l, node);
         if (findings[tile].empty())
           findings[tile] = "node " + std::to_string(node - world_.tiles(l)[tile].first_node) + ": light of lamp group " + std::to_string(group) +
