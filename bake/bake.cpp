@@ -53,6 +53,9 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   return {};
 }
 
+// BakeSettings::target_error is twice a standard deviation.
+RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settings.target_error / 2}; }
+
 // Where surfaces overlap, rays from one end of a pair meet what those from the other do not, and the pooled row does not add up: a
 // free detector. Off by more than a fifth, or four times the noise of few rays, on so much of the surface, it is worth a line.
 constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
@@ -120,7 +123,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     const double offset = unitOf(seed + n - strip.first_node);
     sampleRow(row, exchange.area(n), quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
-    if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(s.target_error > 0 ? std::min(s.rays, kLeastRays) : s.rays))))
+    if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(budgetOf(s).fewest()))))
       sampling.off.emplace_back(n, static_cast<float>(sampled.total - 1));
     formats::Node node = values[n].node;
     node.quanta = quanta;
@@ -233,9 +236,6 @@ struct Surface {
 int threadsOf(const BakeSettings& settings) {
   return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
 }
-
-// BakeSettings::target_error is twice a standard deviation.
-RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settings.target_error / 2}; }
 
 // check: called with the scene as it is baked, before the work.
 Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSettings& settings, const Progress& progress,

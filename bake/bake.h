@@ -9,8 +9,8 @@
 
 #include "bake/bake_code.h"
 #include "bake/cleanup/scene_cleanup.h"
-#include "bake/plan/ray_units.h"
 #include "bake/not_modelled.h"
+#include "bake/plan/ray_units.h"
 #include "bake/progress_report.h"
 #include "bake/scene.h"
 #include "formats/model.h"

@@ -38,7 +38,7 @@ std::string rounded(double x, const char* unit = "") {
 double raysOf(const BakeSettings& settings) {
   if (!(settings.target_error > 0)) return settings.rays;
   const double asked = kRaysAtError * std::pow(kErrorAsked / static_cast<double>(settings.target_error), kRaysByError);
-  return std::clamp(asked, std::min<double>(settings.rays, kLeastRays), static_cast<double>(settings.rays));
+  return std::clamp<double>(asked, RayBudget(settings.rays, settings.target_error).fewest(), settings.rays);
 }
 
 double memoryOf(double patches, double pieces, double triangles, double rays) {

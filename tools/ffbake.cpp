@@ -9,6 +9,7 @@
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <string>
 
 #include <fmt/core.h>
@@ -30,8 +31,11 @@ using Clock = std::chrono::steady_clock;
 
 constexpr uint32_t kMostRays = 16384;  // of a patch, whatever error is asked for
 
+// To stderr, which may be gone.
+void say(const std::string& line) { std::fprintf(stderr, "%s\n", line.c_str()); }
+
 int fail(const Error& error) {
-  std::fprintf(stderr, "ffbake: %s\n", error.line().c_str());
+  say("ffbake: " + error.line());
   return static_cast<int>(error.code);
 }
 
@@ -56,7 +60,7 @@ Result<float> readError(const std::string& text) {
 }
 
 // What the tool itself reads or writes besides the world may not be the world, nor the other way round.
-Result<void> checkOutputs(const std::string& scene, const std::string& out, const std::string& vdb) {
+Result<void> checkOutputs(std::span<const std::string> scenes, const std::string& out, const std::string& vdb) {
   const auto same = [](const std::string& a, const std::string& b) {
     std::error_code unknown;
     return a == b || std::filesystem::equivalent(a, b, unknown);
@@ -64,9 +68,11 @@ Result<void> checkOutputs(const std::string& scene, const std::string& out, cons
   const auto refused = [](const std::string& file, const char* message) {
     return Error{ErrorCode::kUsage, file, "", message, "name another output"};
   };
-  if (same(scene, out)) return refused(out, "the output would take the place of the scene");
+  for (const std::string& scene : scenes) {
+    if (same(scene, out)) return refused(out, "the output would take the place of the scene");
+    if (same(scene, vdb)) return refused(vdb, "the grids would take the place of the scene");
+  }
   if (vdb.empty()) return {};
-  if (same(scene, vdb)) return refused(vdb, "the grids would take the place of the scene");
   if (same(out, vdb)) return refused(vdb, "the grids would take the place of the world");
   if (std::filesystem::is_directory(vdb)) return refused(vdb, "is a folder");
   return formats::posixStorage()->checkWritable(formats::folderOf(vdb));
@@ -74,9 +80,6 @@ Result<void> checkOutputs(const std::string& scene, const std::string& out, cons
 
 // Where the bake cache lies if nobody says: "town.cache" of "town.ffm".
 std::string cacheBeside(const std::string& out) { return (out.ends_with(".ffm") ? out.substr(0, out.size() - 4) : out) + ".cache"; }
-
-// What is said goes to stderr, which may be gone.
-void say(const std::string& line) { std::fprintf(stderr, "%s\n", line.c_str()); }
 
 int run(int argc, char** argv) {
   CLI::App app{"Bakes a glTF scene into a Formfield world: form factors of every patch, at every level.", "ffbake"};
@@ -86,7 +89,7 @@ int run(int argc, char** argv) {
   std::string budget = "60k";
   bool quiet = false, json = false, no_geometry = false, json_progress = false, no_cache = false, status = false, clean = false;
   std::string cache_folder;
-  uint64_t cache_limit = uint64_t{20} << 30;
+  uint64_t cache_limit = 20'000'000'000;
   app.add_option("scene", scenes, "the scene: .glb or .gltf files of one space, or folders of them; needed unless --clean is given");
   app.add_option("-o,--output", out, "the world to write, NAME.ffm; shards are written beside it")->required();
   app.add_option("--patch-size", settings.cell_m, "edge of a patch in metres (default: from --patch-budget)")
@@ -125,7 +128,9 @@ int run(int argc, char** argv) {
       ->transform(CLI::AsSizeValue(true));
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
   app.add_option("--write-vdb", settings.vdb_path, "also write the occupied chunks, and the patches in each cell, as OpenVDB grids")->type_name("FILE.vdb");
-  app.add_option("--cache", cache_folder, "where to keep what was done, so that a bake that was stopped goes on and an edit costs what it changes (default: NAME.cache beside the world)")->type_name("FOLDER");
+  app.add_option("--cache", cache_folder,
+                 "where to keep what was done, so that a bake that was stopped goes on and an edit costs what it changes (default: NAME.cache beside the world)")
+      ->type_name("FOLDER");
   app.add_option("--cache-limit", cache_limit, "what the cache may take on the disk")->transform(CLI::AsSizeValue(true))->default_str("20G");
   app.add_flag("--no-cache", no_cache, "keep nothing, take nothing from the cache");
   app.add_flag("--status", status, "say what of the bake is done, what an edit has changed, and what is missing; bakes nothing");
@@ -163,8 +168,7 @@ int run(int argc, char** argv) {
   const auto files = bake::sceneFiles(scenes);
   if (!files) return fail(files.error());
   if (status && no_cache) return fail({ErrorCode::kUsage, "--status", "", "there is no cache to look into with --no-cache", ""});
-  for (const std::string& file : *files)
-    if (auto ok = checkOutputs(file, out, settings.vdb_path); !ok) return fail(ok.error());
+  if (auto ok = checkOutputs(*files, out, settings.vdb_path); !ok) return fail(ok.error());
 
   std::signal(SIGPIPE, SIG_IGN);  // a reader of stderr that is gone is no reason to end; one of stdout is an error at the end
   tools::StopSignals signals("ffbake");

@@ -22,8 +22,8 @@
 #include "tools/chart/sweep/seen.h"
 #include "tools/chart/sweep/sweep.h"
 #include "tools/chart/sweep/temporal.h"
-#include "tools/view/camera.h"
 #include "tools/run_tool.h"
+#include "tools/view/camera.h"
 
 namespace {
 

@@ -6,11 +6,11 @@
 #include <nlohmann/json.hpp>
 
 #include "formats/version.h"
+#include "tools/run_tool.h"
 #include "tools/scene/analytic.h"
 #include "tools/scene/camera.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
-#include "tools/run_tool.h"
 
 namespace {
 

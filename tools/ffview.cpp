@@ -6,8 +6,8 @@
 #include <optional>
 
 #include "formats/version.h"
-#include "tools/view/run.h"
 #include "tools/run_tool.h"
+#include "tools/view/run.h"
 
 namespace {
 

@@ -23,8 +23,10 @@ constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches together whose err
 constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
 constexpr size_t kGrain = 64;            // rows renumbered by one task
 
+Ray cosineRay(const SurfacePoint& from) { return {from.position, cosineDirection(frameOf(from.normal), from.u, from.v)}; }
+
 // Patches together, in a range that begins with the first ones of a cube: those of a cube of cells, whatever lies elsewhere. First ones, then the end.
-std::vector<uint32_t> castTogether(const PatchSet& set, uint32_t first, uint32_t end) {
+std::vector<uint32_t> startsOfGroups(const PatchSet& set, uint32_t first, uint32_t end) {
   std::vector<uint32_t> start;
   for (uint32_t i = first; i < end; ++i)
     if (i == first || i - start.back() == kMaxTogether ||
@@ -37,7 +39,7 @@ std::vector<uint32_t> castTogether(const PatchSet& set, uint32_t first, uint32_t
 }  // namespace
 
 std::vector<uint32_t> castRanges(const PatchSet& set) {
-  const std::vector<uint32_t> together = castTogether(set, 0, static_cast<uint32_t>(set.patches.size()));
+  const std::vector<uint32_t> together = startsOfGroups(set, 0, static_cast<uint32_t>(set.patches.size()));
   const auto cubeOf = [&](uint32_t patch) { return hilbertAncestor(set.patches[patch].key, kCastLog); };
   std::vector<uint32_t> start;
   for (size_t g = 0; g + 1 < together.size(); ++g)
@@ -50,8 +52,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
                const RayCaster& caster, std::span<Ray> rays) {
   std::vector<SurfacePoint> points(rays.size());
   surfacePoints(scene, set, patch, sobol, seed, caster, points);
-  for (size_t i = 0; i < rays.size(); ++i)
-    rays[i] = {points[i].position, cosineDirection(frameOf(points[i].normal), points[i].u, points[i].v)};
+  std::transform(points.begin(), points.end(), rays.begin(), cosineRay);
 }
 
 struct RowCaster::State {
@@ -104,14 +105,14 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   rows.sky_means.assign(n, {});
   rows.lamps.assign(n, {});
   rows.narrow.assign(n, 0);
-  const std::vector<uint32_t> start = castTogether(state_->set, first, end);
+  const std::vector<uint32_t> start = startsOfGroups(state_->set, first, end);
   for (size_t g = 0; g + 1 < start.size(); ++g) state_->castTogether(start[g], start[g + 1], first, *scratch, rows, done);
   return rows;
 }
 
 // From the errors of a few of them with few rays.
 uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) const {
-  if (!(budget.target_error > 0) || budget.rays <= kLeastRays) return budget.rays;
+  if (budget.fewest() == budget.rays) return budget.rays;
   const uint32_t step = std::clamp((end - first) / kLeastTried, 1u, kTriedOf);
   double square = 0;
   uint32_t tried = 0;
@@ -121,8 +122,7 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
     surfacePoints(scene, set, patch, sobol, seed, caster, std::span(s.points).first(kLeastRays));
     s.error.clear();
     for (uint32_t k = 0; k < kLeastRays; ++k) {
-      const SurfacePoint& from = s.points[k];
-      const Hit hit = s.caster.nearest({from.position, cosineDirection(frameOf(from.normal), from.u, from.v)});
+      const Hit hit = s.caster.nearest(cosineRay(s.points[k]));
       if (hit.triangle == kNone) s.error.sky();
       else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.error.hit(2 * k >= kLeastRays, j);
     }
@@ -150,7 +150,7 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
     std::array<uint32_t, kNarrowCells.size()> near{};
     for (size_t k = 0; k < rays; ++k) {
       const SurfacePoint& from = points[k];
-      const Ray ray{from.position, cosineDirection(frameOf(from.normal), from.u, from.v)};
+      const Ray ray = cosineRay(from);
       const Hit hit = s.caster.nearest(ray);
       if (hit.triangle == kNone) {
         ++rows.sky[i];

@@ -29,12 +29,13 @@ inline constexpr std::array<float, 2> kNarrowCells = {4, 1};
 inline constexpr double kMaxRays = 0.6;
 
 // How many rays a patch casts: `rays`; or, where an error is asked for, as many as its neighbourhood needs for that: kLeastRays to `rays`.
+inline constexpr uint32_t kLeastRays = 256;
 struct RayBudget {
   RayBudget(uint32_t fixed, float error = 0) : rays(fixed), target_error(error) {}
+  uint32_t fewest() const { return target_error > 0 ? std::min(rays, kLeastRays) : rays; }
   uint32_t rays;        // 1 to 65535
   float target_error;   // root mean square over patches, of a row's light: row_error.h; 0: no error is asked for
 };
-inline constexpr uint32_t kLeastRays = 256;
 
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to their `rays`.
 struct HitRows {

@@ -2,18 +2,19 @@
 
 #include <tbb/parallel_for.h>
 #include <tbb/parallel_sort.h>
-#include <xxhash.h>
 
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <type_traits>
 
 #include "bake/light/form_factor.h"
 #include "formats/codec/bytes.h"
+#include "formats/codec/checksum.h"
 
 namespace ff::bake {
 namespace {
+
+using formats::ByteWriter;
 
 // A cube holds what comes so near it, in cells: rounding must not make a ray meet what stands beside the cubes that it passed through. Or so
 // many units in the last place of the largest coordinate, where that is more.
@@ -21,29 +22,14 @@ constexpr double kMarginCells = 1.0 / 64, kMarginUnits = 8;
 constexpr int32_t kAirCubes = 1;      // around the scene
 constexpr int32_t kRoundCubes = 4;    // the box's corners are multiples: a small edit does not move them
 
-// Bytes to be hashed, one value after the other.
-class Bytes {
- public:
-  template <class T>
-  Bytes& add(const T& value) {
-    static_assert(std::has_unique_object_representations_v<T> || std::is_floating_point_v<T>);
-    const auto* p = reinterpret_cast<const std::byte*>(&value);
-    bytes_.insert(bytes_.end(), p, p + sizeof value);
-    return *this;
-  }
-  Bytes& add(Vec3 v) { return add(v.x).add(v.y).add(v.z); }
-  uint64_t short_digest() const { return XXH3_64bits(bytes_.data(), bytes_.size()); }
-  Digest digest() const { return digestOf(bytes_); }
-  void clear() { bytes_.clear(); }
-
- private:
-  std::vector<std::byte> bytes_;
-};
-
 uint64_t imageDigest(const Scene& scene, uint32_t image) {
   if (image == kNone) return 0;
   const Image& i = scene.images[image];
-  return XXH3_64bits_withSeed(i.rgba.data(), i.rgba.size(), uint64_t{i.width} << 32 | i.height);
+  ByteWriter b;
+  b.u32(i.width);
+  b.u32(i.height);
+  b.u64(formats::hashBytes(std::as_bytes(std::span(i.rgba))));
+  return formats::hashBytes(b.data());
 }
 
 }  // namespace
@@ -68,39 +54,50 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
   tbb::parallel_for(size_t{0}, triangle_.size(), [&](size_t t) { triangle_[t] = triangleDigest(static_cast<uint32_t>(t)); });
   addPieces();
 
-  Bytes names, lamps;
+  ByteWriter names, lamps;
   for (uint32_t p = 0; p < set.patches.size();) {
     const uint64_t cube = hilbertAncestor(set.patches[p].key, kCastLog);
     const uint32_t first = p;
-    names.clear();
-    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kCastLog) == cube; ++p) names.add(set.patches[p].name).add(set.patches[p].orientation);
-    patches_[cube] = {first, p, names.digest()};
+    names.data().clear();
+    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kCastLog) == cube; ++p) {
+      names.u64(set.patches[p].name);
+      names.u32(set.patches[p].orientation);
+    }
+    patches_[cube] = {first, p, digestOf(names.data())};
   }
-  for (uint32_t p = 0; p < set.patches.size(); ++p)
-    if (const Patch& patch = set.patches[p]; patch.emits()) lamps.add(surface(p, p + 1)).add(patch.emission).add(patch.lamp_group);
-  lamps_ = lamps.digest();
+  for (uint32_t p = 0; p < set.patches.size(); ++p) {
+    const Patch& patch = set.patches[p];
+    if (!patch.emits()) continue;
+    for (const uint64_t half : surface(p, p + 1)) lamps.u64(half);
+    lamps.vec3(patch.emission);
+    lamps.u16(patch.lamp_group);
+  }
+  lamps_ = digestOf(lamps.data());
 }
 
 uint64_t Contents::materialDigest(const Material& m) const {
-  Bytes b;
-  b.add(m.alpha).add(m.emission).add(m.alpha_cutoff).add(m.transmission);
-  b.add(static_cast<uint8_t>(m.repeat | m.double_sided << 1 | m.cutout << 2 | m.blend << 3 | m.occlude_only << 4));
-  b.add(imageDigest(scene_, m.cutout ? m.base_image : kNone)).add(imageDigest(scene_, m.emission_image));
-  return b.short_digest();
+  ByteWriter b;
+  for (const float x : {m.alpha, m.alpha_cutoff, m.transmission}) b.f32(x);
+  b.vec3(m.emission);
+  for (const bool is : {m.repeat, m.double_sided, m.cutout, m.blend, m.occlude_only}) b.u8(is);
+  b.u64(imageDigest(scene_, m.cutout ? m.base_image : kNone));
+  b.u64(imageDigest(scene_, m.emission_image));
+  return formats::hashBytes(b.data());
 }
 
 uint64_t Contents::triangleDigest(uint32_t t) const {
   const Triangle& triangle = scene_.triangles[t];
   const Material& m = scene_.materials[triangle.material];
-  Bytes b;
-  b.add(material_[triangle.material]);
+  ByteWriter b;
+  b.u64(material_[triangle.material]);
+  const auto add = [&](Vec2 uv) { b.f32(uv.x), b.f32(uv.y); };
   for (const uint32_t v : triangle.v) {
-    b.add(scene_.positions[v]);
-    if (m.cutout && !scene_.uv0.empty()) b.add(scene_.uv0[v].x).add(scene_.uv0[v].y);
-    if (m.cutout && !scene_.colors.empty()) b.add(scene_.colors[v].a);
-    if (m.emission_image != kNone && !scene_.uv1.empty()) b.add(scene_.uv1[v].x).add(scene_.uv1[v].y);
+    b.vec3(scene_.positions[v]);
+    if (m.cutout && !scene_.uv0.empty()) add(scene_.uv0[v]);
+    if (m.cutout && !scene_.colors.empty()) b.f32(scene_.colors[v].a);
+    if (m.emission_image != kNone && !scene_.uv1.empty()) add(scene_.uv1[v]);
   }
-  return b.short_digest();
+  return formats::hashBytes(b.data());
 }
 
 uint64_t Contents::patchName(uint32_t patch) const { return patch == kNone || patch == kSealed ? patch : set_.patches[patch].name; }
@@ -117,10 +114,13 @@ void Contents::addPieces() {
   std::vector<Held> held;
   uint32_t number = 0;
   set_.eachPiece([&](uint32_t triangle, const Box& cell_box, const auto& piece, const auto& rims) {
-    Bytes b;
-    b.add(triangle_[triangle]).add(piece.cell).add(patchName(piece.patch[0])).add(patchName(piece.patch[1]));
+    ByteWriter b;
+    b.u64(triangle_[triangle]);
+    for (const int32_t x : piece.cell) b.u32(static_cast<uint32_t>(x));
+    for (const uint32_t patch : piece.patch) b.u64(patchName(patch));
     for (const auto& rim : rims)
-      for (const Point& p : {rim.at, rim.inward}) b.add(p.x).add(p.y).add(p.z);
+      for (const Point& p : {rim.at, rim.inward}) b.f64(p.x), b.f64(p.y), b.f64(p.z);
+    const uint64_t digest = formats::hashBytes(b.data());
     Box box;
     for (const uint32_t v : scene_.triangles[triangle].v) box.add(scene_.positions[v]);
     box = {max(box.lo, cell_box.lo), min(box.hi, cell_box.hi)};
@@ -133,16 +133,16 @@ void Contents::addPieces() {
     for (int32_t x = lo[0]; x <= hi[0]; ++x)
       for (int32_t y = lo[1]; y <= hi[1]; ++y)
         for (int32_t z = lo[2]; z <= hi[2]; ++z)
-          if (box_.holds({x, y, z})) held.push_back({box_.number({x, y, z}), number, b.short_digest()});
+          if (box_.holds({x, y, z})) held.push_back({box_.number({x, y, z}), number, digest});
     ++number;
   });
   tbb::parallel_sort(held.begin(), held.end(), [](const Held& a, const Held& b) { return std::pair(a.cube, a.piece) < std::pair(b.cube, b.piece); });
-  Bytes of_cube;
+  ByteWriter of_cube;
   for (size_t i = 0; i < held.size();) {
     const uint32_t cube = held[i].cube;
-    of_cube.clear();
-    for (; i < held.size() && held[i].cube == cube; ++i) of_cube.add(held[i].digest);
-    cube_[cube] = of_cube.digest();
+    of_cube.data().clear();
+    for (; i < held.size() && held[i].cube == cube; ++i) of_cube.u64(held[i].digest);
+    cube_[cube] = digestOf(of_cube.data());
   }
 }
 
@@ -158,7 +158,7 @@ Digest Contents::patchesIn(uint64_t cast_cube) const {
 }
 
 std::vector<std::byte> Contents::encoded() const {
-  formats::ByteWriter out;
+  ByteWriter out;
   out.f32(box_.edge_m);
   for (const auto& [number, digest] : std::map(cube_.begin(), cube_.end())) {
     for (const int32_t x : box_.cube(number)) out.u32(static_cast<uint32_t>(x));
@@ -201,14 +201,20 @@ std::pair<uint32_t, uint32_t> Contents::rangeOf(uint64_t cast_cube) const {
 }
 
 Digest Contents::surface(uint32_t first, uint32_t end) const {
-  Bytes b;
+  ByteWriter b;
   for (uint32_t p = first; p < end; ++p) {
     const Patch& patch = set_.patches[p];
-    b.add(patch.name).add(patch.key).add(patch.centroid).add(patch.normal).add(patch.bounds.lo).add(patch.bounds.hi).add(patch.triangles);
-    for (const PatchTriangle& t : std::span(set_.triangles).subspan(patch.first_triangle, patch.triangles))
-      b.add(t.a).add(t.b).add(t.c).add(t.cumulative_area).add(triangle_[t.source]);
+    b.u64(patch.name);
+    b.u64(patch.key);
+    for (const Vec3& v : {patch.centroid, patch.normal, patch.bounds.lo, patch.bounds.hi}) b.vec3(v);
+    b.u32(patch.triangles);
+    for (const PatchTriangle& t : std::span(set_.triangles).subspan(patch.first_triangle, patch.triangles)) {
+      for (const Vec3& v : {t.a, t.b, t.c}) b.vec3(v);
+      b.f32(t.cumulative_area);
+      b.u64(triangle_[t.source]);
+    }
   }
-  return b.digest();
+  return digestOf(b.data());
 }
 
 }  // namespace ff::bake

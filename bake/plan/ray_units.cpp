@@ -5,7 +5,6 @@
 #include <zstd.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cstring>
 #include <numeric>
 #include <optional>
@@ -20,7 +19,7 @@ using formats::ByteReader, formats::ByteWriter;
 using Raw = std::vector<std::byte>;
 
 constexpr std::string_view kRays = "rays", kContents = "contents";
-constexpr int kLevel = 1;  // of zstd: 3 saves 4 % of the bytes
+constexpr int kLevel = 1;  // of zstd
 constexpr uint64_t kMostBytes = uint64_t{1} << 32;  // of a decompressed part: no unit comes near it
 
 // LEB128.
@@ -171,24 +170,21 @@ void takeValues(ByteReader& in, std::span<const std::byte> raw, size_t n, std::v
 }  // namespace
 
 RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache)
-    : scene_(scene), set_(set), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)) {}
-
-Digest RayUnits::settings() const {
+    : scene_(scene), set_(set), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)), keys_(units()) {
   ByteWriter b;
   b.u32(kBakeCode);
-  b.u32(budget_.rays);
-  b.f32(budget_.target_error);
-  b.u64(seed_);
-  b.f32(set_.cell_m);
-  b.u8(static_cast<uint8_t>(scene_.backs));
-  for (const double x : scene_.origin) b.f64(x);
-  return digestOf(b.data());
-}
-
-Digest RayUnits::keyOf(size_t unit) const {
-  ByteWriter b;
-  for (const Digest& d : {settings(), contents_.lamps(), contents_.surface(start_[unit], start_[unit + 1])}) putDigest(b, d);
-  return digestOf(b.data());
+  b.u32(budget.rays);
+  b.f32(budget.target_error);
+  b.u64(seed);
+  b.f32(set.cell_m);
+  b.u8(static_cast<uint8_t>(scene.backs));
+  for (const double x : scene.origin) b.f64(x);
+  settings_ = digestOf(b.data());
+  tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
+    ByteWriter key;
+    for (const Digest& d : {settings_, contents_.lamps(), contents_.surface(start_[u], start_[u + 1])}) putDigest(key, d);
+    keys_[u] = digestOf(key.data());
+  });
 }
 
 // Columns are patches of the whole set, ascending, so that those of one cube of 2^kCastLog cells follow each other: runs, within which patches
@@ -297,23 +293,16 @@ std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte>
   return rows;
 }
 
-// Thread-safe.
-class Counting {
- public:
-  void add(UnitState state, uint64_t rays) {
-    ++units_[static_cast<size_t>(state)];
-    rays_ += rays;
-  }
-  UnitCounts counts() const { return {.clean = units_[2], .stale = units_[1], .missing = units_[0], .clean_rays = rays_}; }
-
- private:
-  std::atomic<uint64_t> units_[3] = {}, rays_{0};  // by UnitState
-};
+UnitCounts countsOf(std::span<const UnitState> states) {
+  UnitCounts counts;
+  for (const UnitState s : states) ++(s == UnitState::kClean ? counts.clean : s == UnitState::kStale ? counts.stale : counts.missing);
+  return counts;
+}
 
 }  // namespace
 
 UnitState RayUnits::load(size_t unit, HitRows* rows) const {
-  const auto bytes = cache_.load(kRays, keyOf(unit));
+  const auto bytes = cache_.load(kRays, keys_[unit]);
   if (!bytes) return UnitState::kMissing;
   ByteReader record(*bytes);
   const auto raw = takePart(record, *bytes);
@@ -329,37 +318,35 @@ UnitState RayUnits::load(size_t unit, HitRows* rows) const {
 
 HitRows RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts) {
   std::vector<HitRows> rows(units());
-  Counting found;
+  std::vector<UnitState> states(units());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
-    const UnitState state = load(u, &rows[u]);
-    const uint32_t patches = start_[u + 1] - start_[u];
-    found.add(state, std::accumulate(rows[u].rays.begin(), rows[u].rays.end(), uint64_t{0}));
-    if (state == UnitState::kClean) done.add(patches);
+    states[u] = load(u, &rows[u]);
+    if (states[u] == UnitState::kClean) done.add(start_[u + 1] - start_[u]);
   });
-  counts = found.counts();
+  counts = countsOf(states);
+  for (const HitRows& of_unit : rows) counts.clean_rays = std::accumulate(of_unit.rays.begin(), of_unit.rays.end(), counts.clean_rays);
   const RowCaster casting(scene_, set_, caster, budget_, seed_);
   tbb::enumerable_thread_specific<RayTrail> trails([&] { return RayTrail(contents_.box()); });
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
-    if (!rows[u].rays.empty()) return;
+    if (states[u] == UnitState::kClean) return;
     RayTrail& trail = trails.local();
     trail.clear();
     rows[u] = casting.cast(start_[u], start_[u + 1], &trail, done);
-    cache_.store(kRays, keyOf(u), encode(rows[u], trail));
+    cache_.store(kRays, keys_[u], encode(rows[u], trail));
   });
-  cache_.store(kContents, settings(), contents_.encoded());
+  cache_.store(kContents, settings_, contents_.encoded());
   return joined(std::move(rows));
 }
 
 UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
-  Counting found;
+  std::vector<UnitState> states(units());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
-    const uint32_t patches = start_[u + 1] - start_[u];
-    found.add(load(u, nullptr), 0);
-    done.add(patches);
+    states[u] = load(u, nullptr);
+    done.add(start_[u + 1] - start_[u]);
   });
   changed.clear();
-  if (const auto before = cache_.load(kContents, settings())) changed = contents_.changesSince(*before);
-  return found.counts();
+  if (const auto before = cache_.load(kContents, settings_)) changed = contents_.changesSince(*before);
+  return countsOf(states);
 }
 
 }  // namespace ff::bake

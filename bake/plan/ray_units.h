@@ -40,8 +40,6 @@ class RayUnits {
 
  private:
   size_t units() const { return start_.size() - 1; }
-  Digest settings() const;
-  Digest keyOf(size_t unit) const;
   UnitState load(size_t unit, HitRows* rows) const;  // rows: null: only the state is asked for
   std::vector<std::byte> encode(const HitRows& rows, const RayTrail& trail) const;
 
@@ -52,6 +50,8 @@ class RayUnits {
   BakeCache& cache_;
   const Contents contents_;
   const std::vector<uint32_t> start_;
+  Digest settings_{};           // the same for all units: the key of what all of the world held
+  std::vector<Digest> keys_;    // by unit
 };
 
 }  // namespace ff::bake

@@ -112,7 +112,8 @@ class ByteWriter {
  private:
   template <class T>
   void put(T v) {
-    for (size_t i = 0; i < sizeof(T); ++i) bytes_.push_back(static_cast<std::byte>((v >> (8 * i)) & 0xff));
+    bytes_.resize(bytes_.size() + sizeof(T));
+    storeLittle(bytes_.data() + bytes_.size() - sizeof(T), v);
   }
   std::vector<std::byte> bytes_;
 };

@@ -8,34 +8,13 @@
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
 #include "formats/read/whole_world.h"
+#include "tests/support/analytic_scenes.h"
 #include "tests/support/random_world.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
 
 namespace ff::bake {
 namespace {
-
-// A house of box.lo to box.hi without windows, of the town's first material.
-void addHouse(Scene& scene, const Box& box) {
-  const auto at = [&](int x, int y, int z) { return Vec3{(x ? box.hi : box.lo).x, (y ? box.hi : box.lo).y, (z ? box.hi : box.lo).z}; };
-  const auto quad = [&](Vec3 a, Vec3 b, Vec3 c, Vec3 d) {
-    const auto first = static_cast<uint32_t>(scene.positions.size());
-    scene.positions.insert(scene.positions.end(), {a, b, c, d});
-    if (!scene.uv0.empty()) scene.uv0.resize(scene.positions.size());
-    if (!scene.uv1.empty()) scene.uv1.resize(scene.positions.size());
-    if (!scene.colors.empty()) scene.colors.resize(scene.positions.size());
-    Triangle t = scene.triangles.front();
-    t.v = {first, first + 1, first + 2};
-    scene.triangles.push_back(t);
-    t.v = {first, first + 2, first + 3};
-    scene.triangles.push_back(t);
-  };
-  quad(at(0, 0, 0), at(0, 0, 1), at(0, 1, 1), at(0, 1, 0));
-  quad(at(1, 0, 0), at(1, 1, 0), at(1, 1, 1), at(1, 0, 1));
-  quad(at(0, 1, 0), at(0, 1, 1), at(1, 1, 1), at(1, 1, 0));
-  quad(at(0, 0, 0), at(0, 1, 0), at(1, 1, 0), at(1, 0, 0));
-  quad(at(0, 0, 1), at(1, 0, 1), at(1, 1, 1), at(0, 1, 1));
-}
 
 using Bytes = std::vector<std::byte>;
 
@@ -84,7 +63,7 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
       }
   }
   const Box house{ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}};
-  addHouse(*scene, house);
+  test::addBlock(*scene, house.lo, house.hi, scene->triangles[0].material, false);
   const auto stats = bakeWorld(*scene, settings, folder.file("after.ffm"));
   ASSERT_TRUE(stats) << stats.error().line();
   const auto after = formats::WholeWorld::open(folder.file("after.ffm"));

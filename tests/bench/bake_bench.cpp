@@ -1,12 +1,10 @@
 // ff_bench_bake [--quick]: speed, size and accuracy of the baker on voxel towns, beside bare Embree in the same run.
 // Prints one JSON object a line (metric, value, unit, limit, note).
 #include <embree3/rtcore.h>
-#include <sys/resource.h>
 #include <tbb/parallel_for.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <chrono>
 #include <cmath>
@@ -20,6 +18,8 @@
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
 #include "formats/read/reader.h"
+#include "tests/support/analytic_scenes.h"
+#include "tools/bake/summary.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
@@ -65,28 +65,10 @@ Scene town(const std::filesystem::path& folder, uint64_t patches) {
   return imported(folder, orExit(tools::makeTown({.patches = patches})));
 }
 
-// Puts a house of 3.5 x 3.5 x 5.5 m on the ground, without windows, of the scene's first material.
-void addHouse(Scene& scene, Vec3 ground) {
-  const Vec3 lo = ground - Vec3{1.75f, 0, 1.75f}, hi = ground + Vec3{1.75f, 5.5f, 1.75f};
-  const auto quad = [&](std::array<int, 4> corners) {  // bits: x, y, z
-    const auto first = static_cast<uint32_t>(scene.positions.size());
-    for (const int c : corners) scene.positions.push_back({c & 1 ? hi.x : lo.x, c & 2 ? hi.y : lo.y, c & 4 ? hi.z : lo.z});
-    for (auto* uv : {&scene.uv0, &scene.uv1})
-      if (!uv->empty()) uv->resize(scene.positions.size());
-    if (!scene.colors.empty()) scene.colors.resize(scene.positions.size());
-    for (const uint32_t k : {1u, 2u}) scene.triangles.push_back({{first, first + k, first + k + 1}, scene.triangles[0].material});
-  };
-  quad({0, 4, 6, 2});
-  quad({1, 3, 7, 5});
-  quad({2, 6, 7, 3});
-  quad({0, 2, 3, 1});
-  quad({4, 5, 7, 6});
-}
-
 // The share of a bake's units of rays that an edit has cast again; the bake is in the cache.
 double editShare(const Scene& town, Vec3 ground, BakeSettings settings) {
-  Scene edited = town;
-  addHouse(edited, ground);
+  Scene edited = town;  // and a house of 3.5 x 3.5 x 5.5 m
+  test::addBlock(edited, ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}, town.triangles[0].material, false);
   const UnitCounts units = orExit(bakeStatus(edited, settings)).ray_units;
   return 1 - static_cast<double>(units.clean) / static_cast<double>(units.units());
 }
@@ -190,9 +172,7 @@ int main(int argc, char** argv) {
   const std::string note = name + ", " + std::to_string(stats.levels[0].nodes) + " patches, whole bake after import";
   print("bake.rays_per_s", speed, "rays/s", bare, note + "; limit: bare rtcIntersect1, same rays, all threads");
   print("bake.ratio_to_bare_embree", speed / bare, "ratio", 1, note);
-  rusage usage{};
-  getrusage(RUSAGE_SELF, &usage);
-  print("bake.peak_mib", static_cast<double>(usage.ru_maxrss) / 1024, "MiB", kNoLimit, note);
+  print("bake.peak_mib", static_cast<double>(tools::peakBytes()) / (1 << 20), "MiB", kNoLimit, note);
   uint64_t all = 0;
   for (const auto& l : stats.levels) all += l.stored_bytes;
   const auto& level0 = stats.levels[0];

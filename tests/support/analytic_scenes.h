@@ -14,6 +14,9 @@ namespace ff::bake::test {
 inline void addTriangle(Scene& s, Vec3 a, Vec3 b, Vec3 c, uint32_t material) {
   const auto first = static_cast<uint32_t>(s.positions.size());
   for (const Vec3& p : {a, b, c}) s.positions.push_back(p);
+  for (auto* uv : {&s.uv0, &s.uv1})
+    if (!uv->empty()) uv->resize(s.positions.size());
+  if (!s.colors.empty()) s.colors.resize(s.positions.size());
   s.triangles.push_back({{first, first + 1, first + 2}, material});
 }
 
@@ -79,11 +82,11 @@ inline Scene closedBox(Vec3 albedo, Vec3 radiance) {
   return s;
 }
 
-// A box's six faces, seen from outside.
-inline void addBlock(Scene& s, Vec3 lo, Vec3 hi, uint32_t material) {
+// A box's six faces, seen from outside; without the one below: a house that stands on the ground.
+inline void addBlock(Scene& s, Vec3 lo, Vec3 hi, uint32_t material, bool below = true) {
   const auto p = [&](int x, int y, int z) { return Vec3{x ? hi.x : lo.x, y ? hi.y : lo.y, z ? hi.z : lo.z}; };
   addQuad(s, p(0, 1, 0), p(0, 1, 1), p(1, 1, 1), p(1, 1, 0), material);
-  addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1), material);
+  if (below) addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1), material);
   addQuad(s, p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1), material);
   addQuad(s, p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0), material);
   addQuad(s, p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1), material);

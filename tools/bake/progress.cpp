@@ -77,6 +77,4 @@ void ProgressPrinter::endLine() {
   open_ = false;
 }
 
-std::vector<std::pair<std::string, double>> ProgressPrinter::phases() const { return phases_; }
-
 }  // namespace ff::tools

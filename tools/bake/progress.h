@@ -8,6 +8,8 @@
 
 namespace ff::tools {
 
+using PhaseTimes = std::vector<std::pair<std::string, double>>;  // s, in their order
+
 // Not thread-safe. What cannot be written is lost: a reader of stderr that is gone is no reason to end a bake.
 class ProgressPrinter {
  public:
@@ -20,8 +22,8 @@ class ProgressPrinter {
 
   void operator()(const char* phase, uint64_t done, uint64_t total);
   void endLine();
-  // How long each phase took, s; in their order.
-  std::vector<std::pair<std::string, double>> phases() const;
+  // How long each phase took so far.
+  const PhaseTimes& phases() const { return phases_; }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -32,7 +34,7 @@ class ProgressPrinter {
   const bool terminal_;
   bool open_ = false, said_done_ = false;
   Clock::time_point began_, said_;
-  std::vector<std::pair<std::string, double>> phases_;
+  PhaseTimes phases_;
 };
 
 }  // namespace ff::tools

@@ -3,14 +3,11 @@
 #include <cstdint>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <utility>
-#include <vector>
 
 #include "bake/bake.h"
+#include "tools/bake/progress.h"
 
 namespace ff::tools {
-
-using PhaseTimes = std::vector<std::pair<std::string, double>>;  // s
 
 // cache_bytes: of the files in the bake cache; 0: there is none.
 void printSummary(const bake::BakeStats& stats, const std::string& world, const PhaseTimes& phases, uint64_t cache_bytes);

@@ -30,19 +30,6 @@ Scene town(const formats::TemporaryFolder& folder, uint64_t patches) {
   return std::move(*scene);
 }
 
-void addCorner(Scene& scene, Vec3 at) {
-  scene.positions.push_back(at);
-  if (!scene.uv0.empty()) scene.uv0.resize(scene.positions.size());
-  if (!scene.uv1.empty()) scene.uv1.resize(scene.positions.size());
-  if (!scene.colors.empty()) scene.colors.resize(scene.positions.size());
-}
-
-void addTriangle(Scene& scene, Vec3 a, Vec3 b, Vec3 c, uint32_t material) {
-  const auto first = static_cast<uint32_t>(scene.positions.size());
-  for (const Vec3& p : {a, b, c}) addCorner(scene, p);
-  scene.triangles.push_back({{first, first + 1, first + 2}, material});
-}
-
 bool equal(const HitRows& a, const HitRows& b) {
   const auto same_bytes = [](const auto& x, const auto& y) { return x.size() == y.size() && (x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0); };
   if (a.lamps.size() != b.lamps.size()) return false;
@@ -96,9 +83,9 @@ void edit(Scene& scene, const Box& all, std::mt19937& random, std::string& what)
   const auto some = [&] { return static_cast<uint32_t>(random() % scene.triangles.size()); };
   const Vec3 at = place(0);
   switch (random() % 7) {
-    case 0: what = "a sheet"; addTriangle(scene, at, at + Vec3{3, 0, 1}, at + Vec3{0, 2, 2}, 0); break;
-    case 1: what = "a hair's breadth of a sheet"; addTriangle(scene, at, at + Vec3{0.01f, 0, 0}, at + Vec3{0, 0, 6}, 0); break;
-    case 2: what = "something outside of the world"; { const Vec3 far = place(0.5f); addTriangle(scene, far, far + Vec3{9, 0, 0}, far + Vec3{0, 9, 9}, 0); } break;
+    case 0: what = "a sheet"; test::addTriangle(scene, at, at + Vec3{3, 0, 1}, at + Vec3{0, 2, 2}, 0); break;
+    case 1: what = "a hair's breadth of a sheet"; test::addTriangle(scene, at, at + Vec3{0.01f, 0, 0}, at + Vec3{0, 0, 6}, 0); break;
+    case 2: what = "something outside of the world"; { const Vec3 far = place(0.5f); test::addTriangle(scene, far, far + Vec3{9, 0, 0}, far + Vec3{0, 9, 9}, 0); } break;
     case 3: what = "a triangle less"; scene.triangles.erase(scene.triangles.begin() + some()); break;
     case 4: what = "a corner moved"; scene.positions[scene.triangles[some()].v[random() % 3]].y += 0.4f; break;
     case 5: what = "another order"; std::swap(scene.triangles[some()], scene.triangles[some()]); break;
@@ -107,7 +94,7 @@ void edit(Scene& scene, const Box& all, std::mt19937& random, std::string& what)
       scene.materials.push_back(scene.materials[0]);
       scene.materials.back().cutout = scene.materials.back().blend = scene.materials.back().double_sided = true;
       scene.materials.back().alpha = 0.5f;
-      addTriangle(scene, at, at + Vec3{5, 0, 0}, at + Vec3{0, 5, 1}, static_cast<uint32_t>(scene.materials.size()) - 1);
+      test::addTriangle(scene, at, at + Vec3{5, 0, 0}, at + Vec3{0, 5, 1}, static_cast<uint32_t>(scene.materials.size()) - 1);
   }
 }
 
