@@ -5,14 +5,17 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstring>
 #include <memory>
+#include <mutex>
 #include <new>
 #include <optional>
 #include <system_error>
 #include <thread>
+#include <utility>
 
 #include "bake/cleanup/scene_names.h"
 #include "bake/estimate.h"
@@ -25,6 +28,8 @@
 #include "bake/progress_report.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
+#include "bake/release.h"
+#include "bake/spill.h"
 #include "bake/surface/patch_size.h"
 #include "bake/surface/patches.h"
 #include "bake/world_grids.h"
@@ -96,9 +101,8 @@ std::vector<formats::LampGroup> describeLamps(const LampGroups& groups, std::spa
   return described;
 }
 
-// The rows of one tile, sampled and laid out as a strip.
-formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeLevel& exchange,
-                         std::span<const NodeValues> values, const RowSamples& samples,
+// The rows of one tile, sampled and laid out as a strip. light: of all nodes of the level, as rowFactor() asks for it.
+formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, std::span<const NodeRow> rows, std::span<const LightValues> light,
                          std::span<const formats::LampGroup> lamp_groups, const BakeSettings& s, Sampling& sampling) {
   const auto& tiles = h.tile_start[id.level];
   formats::Strip strip;
@@ -115,25 +119,26 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
   uint64_t seed = mix64(s.seed + id.level);  // of the name alone
   for (const int32_t x : name.chunk) seed = mix64(seed + static_cast<uint32_t>(x));
   seed = mix64(seed + name.tile);
-  ExchangeRow row;
   SampledRow sampled;
-  for (uint32_t n = tiles[id.tile]; n < tiles[id.tile + 1]; ++n) {
-    exchange.row(n, row);
-    const uint32_t quanta = std::min(least * samples.factor(n, row, least), formats::kMaxQuanta);
-    const double offset = unitOf(seed + n - strip.first_node);
-    sampleRow(row, exchange.area(n), quanta, offset, sampled);
+  for (size_t i = 0; i < rows.size(); ++i) {
+    const ExchangeRow& row = rows[i].row;
+    const float area_m2 = rows[i].node.area_m2;
+    const auto n = static_cast<uint32_t>(strip.first_node + i);
+    const uint32_t quanta = std::min(least * rowFactor(rows[i].direct, row, least, light), formats::kMaxQuanta);
+    const double offset = unitOf(seed + i);
+    sampleRow(row, area_m2, quanta, offset, sampled);
     sampling.deviation = std::max(sampling.deviation, std::abs(sampled.total - 1));
     if (id.level == 0 && std::abs(sampled.total - 1) > std::max(kRowOff, kRowOffRays / std::sqrt(static_cast<double>(budgetOf(s).fewest()))))
       sampling.off.emplace_back(n, static_cast<float>(sampled.total - 1));
-    formats::Node node = values[n].node;
+    formats::Node node = rows[i].node;
     node.quanta = quanta;
     node.sky = sampled.sky;
     node.absorbed = sampled.absorbed;
     node.row_total = static_cast<float>(sampled.total);
-    node.sky_fraction = std::min(1.0f, static_cast<float>(row.sky_m2) / exchange.area(n));
+    node.sky_fraction = std::min(1.0f, static_cast<float>(row.sky_m2) / area_m2);
     node.sky_direction = row.sky_means.direction;
     node.sky_quadratic = row.sky_means.quadratic;
-    appendLamps(row, exchange.area(n), lamp_groups, static_cast<uint8_t>(n - strip.first_node), strip.lamps);
+    appendLamps(row, area_m2, lamp_groups, static_cast<uint8_t>(i), strip.lamps);
     const float seen = 1 - static_cast<float>(sampled.sky + sampled.absorbed) / static_cast<float>(quanta);
     const float most = seen > 0 ? kMaxReflected / seen : 1;
     if (std::max({node.albedo.x, node.albedo.y, node.albedo.z}) > most) {
@@ -145,8 +150,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, const ExchangeL
     for (size_t k = 0; k < sampled.column.size(); ++k) {
       const uint32_t j = sampled.column[k];
       const auto partner = static_cast<uint32_t>(std::upper_bound(tiles.begin(), tiles.end(), j) - tiles.begin() - 1);
-      entries.push_back({partner, static_cast<uint8_t>(n - strip.first_node), static_cast<uint8_t>(j - tiles[partner]),
-                         sampled.count[k]});
+      entries.push_back({partner, static_cast<uint8_t>(i), static_cast<uint8_t>(j - tiles[partner]), sampled.count[k]});
     }
   }
   std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.partner < b.partner; });
@@ -186,12 +190,12 @@ std::string rowsThatAreOff(const Scene& scene, const PatchSet& set, std::span<co
          "): surfaces overlap there; most of it: " + places.heaviest();
 }
 
-std::string lightOnBacks(const Scene& scene, const PatchSet& set, const HitRows& hits, double share) {
+std::string lightOnBacks(const Scene& scene, const PatchSet& set, std::span<const PatchSight> sight, double share) {
   const bool other = std::any_of(scene.materials.begin(), scene.materials.end(), [](const Material& m) { return m.occlude_only; });
   if (other || !(share > kBacksShare)) return {};
   PlaceSums places(scene);
   for (uint32_t i = 0; i < set.patches.size(); ++i)
-    if (hits.absorbed[i] > 0) places.add(triangleOf(set, i), static_cast<double>(set.patches[i].area_m2) * hits.absorbed[i] / hits.rays[i]);
+    if (sight[i].absorbed > 0) places.add(triangleOf(set, i), static_cast<double>(set.patches[i].area_m2) * sight[i].absorbed / sight[i].rays);
   return percent(share) + " of the light ends on the backs of single-sided surfaces, most of it what leaves " + places.heaviest() +
          "; --backs reflect or --backs pass treats them otherwise";
 }
@@ -233,6 +237,120 @@ struct Surface {
   PatchSet set;
 };
 
+// Where rays ended, put aside in the order in which they were cast.
+class PutAside {
+ public:
+  PutAside(size_t patches, const std::string& path, uint64_t memory_bytes) : sight(patches), hits_at_(patches), spill_(path, memory_bytes) {}
+
+  // Thread-safe for different patches.
+  void put(uint32_t first, const HitRows& rows) {
+    for (size_t p = 0; p < rows.patches(); ++p) sight[first + p] = sightOf(rows, p);
+    const auto count = [&](size_t patch, uint64_t hits) {
+      std::atomic_ref(hits_at_[patch]).fetch_add(static_cast<uint32_t>(hits), std::memory_order_relaxed);
+    };
+    for (size_t p = 0; p < rows.patches(); ++p) count(first + p, rows.start[p + 1] - rows.start[p]);
+    for (const uint32_t j : rows.column) count(j, 1);
+    Range range{first, spill_.put(encoded(rows))};
+    const std::lock_guard lock(mutex_);
+    ranges_.push_back(std::move(range));
+  }
+
+  size_t ranges() const { return ranges_.size(); }
+  // What put() was given; once for each. Thread-safe for different ones.
+  std::pair<uint32_t, HitRows> take(size_t range) {
+    const Spill::Block block = std::exchange(ranges_[range].block, {});
+    return {ranges_[range].first, decodedHits(spill_.get(block))};
+  }
+  uint64_t spilled() const { return spill_.written(); }
+  // Hits from either end, of a patch.
+  uint32_t hitsAt(size_t patch) const { return hits_at_[patch]; }
+
+  std::vector<PatchSight> sight;  // by patch
+
+ private:
+  struct Range {
+    uint32_t first;
+    Spill::Block block;
+  };
+  std::mutex mutex_;
+  std::vector<uint32_t> hits_at_;
+  Spill spill_;
+  std::vector<Range> ranges_;
+};
+
+// First nodes of buckets of whole tiles, with as many hits as memory has room for.
+std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> patch_of, const PutAside& hits, uint64_t bytes) {
+  const std::vector<uint32_t>& tiles = h.tile_start[0];
+  std::vector<uint32_t> start{0};
+  uint64_t in_bucket = 0;
+  for (size_t t = 0; t + 1 < tiles.size(); ++t) {
+    uint64_t in_tile = 0;
+    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) in_tile += hits.hitsAt(patch_of[i]) * HitPool::kBytesAHit;
+    if (tiles[t] > start.back() && in_bucket + in_tile > bytes) {
+      start.push_back(tiles[t]);
+      in_bucket = 0;
+    }
+    in_bucket += in_tile;
+  }
+  start.push_back(tiles.back());
+  return start;
+}
+
+// Fills the rows of level 0; returns what its patches reflect once light has bounced twice. By patch: sun, whole_area.
+std::vector<LightValues> poolPatches(std::span<const Patch> patches, std::span<const uint32_t> patch_of, std::span<const SunLight> sun,
+                                     std::span<const float> whole_area, const Hierarchy& h, std::span<const double> density, PutAside& hits,
+                                     const std::string& path, const BakeSettings& settings, LevelRows& rows, WorkCount& done, uint64_t& spilled) {
+  const std::vector<uint32_t>& tiles = h.tile_start[0];
+  std::vector<LightValues> light(patches.size());
+  {
+    Spill spill(path, spareMemory(settings) / 4);
+    HitPool pool(h.number, whole_area, density, bucketsOf(h, patch_of, hits, spareMemory(settings) / 4), spill);
+    tbb::parallel_for(size_t{0}, hits.ranges(), [&](size_t r) {
+      const auto [first, of_range] = hits.take(r);
+      pool.add(first, of_range);
+      done.add();
+    });
+    giveBackMemory();
+    for (size_t b = 0; b < pool.buckets(); ++b) {
+      const PooledRows pooled = pool.take(b);
+      const auto first = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.first()) - tiles.begin());
+      const auto end = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.end()) - tiles.begin());
+      tbb::parallel_for(first, end, [&](uint32_t t) {
+        std::vector<NodeRow> of_tile(tiles[t + 1] - tiles[t]);
+        for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
+          NodeRow& row = of_tile[i - tiles[t]];
+          const Patch& patch = patches[patch_of[i]];
+          row.node.area_m2 = patch.area_m2;
+          row.node.centroid = patch.centroid;
+          row.node.normal = patch.normal;
+          row.node.albedo = patch.albedo;
+          row.node.emission = patch.emission;
+          row.node.lamp_group = patch.lamp_group;
+          if (h.levels() > 1) row.node.parent = h.parents[0][i];
+          row.bounds = patch.bounds;
+          pooled.row(i, row.row);
+          row.direct = directLight(row.row, patch.area_m2, sun[patch_of[i]]);
+          light[i] = reflectedLight(patch.albedo, patch.area_m2, row.direct, row.row, {});
+        }
+        rows.put(t, tiles[t], of_tile);
+        done.add();
+      });
+    }
+    spilled += spill.written();
+  }
+  giveBackMemory();
+  std::vector<LightValues> bounced(patches.size());
+  tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
+    const std::vector<NodeRow> of_tile = rows.get(t);
+    for (size_t i = 0; i < of_tile.size(); ++i) {
+      const NodeRow& row = of_tile[i];
+      bounced[tiles[t] + i] = reflectedLight(row.node.albedo, row.node.area_m2, row.direct, row.row, light);
+    }
+    done.add();
+  });
+  return bounced;
+}
+
 int threadsOf(const BakeSettings& settings) {
   return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
 }
@@ -272,40 +390,49 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     return {};
   });
   if (!surface) return surface.error();
+  giveBackMemory();
   const Scene& scene = (*surface)->scene;
   const RayCaster& caster = *(*surface)->caster;
   PatchSet& set = (*surface)->set;
   const size_t n = set.patches.size();
 
-  // Rays.
+  // Rays: hits are put aside, range by range.
   BakeStats stats;
   stats.warnings = (*surface)->clean.notes;
   stats.cell_m = set.cell_m;
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();
-  HitRows hits;
+  PutAside hits(n, path, spareMemory(settings) / 4);
   {
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
-    hits = settings.cache ? RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units)
-                          : castRows(scene, set, caster, budget, settings.seed, report.count);
+    const TakeRows take = [&](uint32_t first, HitRows rows) { hits.put(first, rows); };
+    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units, take);
+    else castRows(scene, set, caster, budget, settings.seed, report.count, take);
   }
-  const std::vector<SunLight> sun_on_patches = sunOnPatches(scene, set, caster, settings.seed);
+  const std::vector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
+  (*surface)->caster.reset();
+  set.forgetPieces();
+  giveBackMemory();
   stats.ray_seconds = since(cast_began);
   std::vector<float> sky(n), whole_area(n);
+  std::vector<uint8_t> narrow(n), lamp_lit(n);
   double square_error = 0;
   for (size_t i = 0; i < n; ++i) {
-    stats.rays += hits.rays[i];
-    const double rays = hits.rays[i], a = static_cast<double>(set.patches[i].area_m2);
-    stats.fewest_rays = i == 0 ? hits.rays[i] : std::min(stats.fewest_rays, hits.rays[i]);
-    square_error += static_cast<double>(hits.square_error[i]);
-    sky[i] = hits.sky_fraction[i] / exposedFraction(hits, i);
-    stats.sky_fraction += a * static_cast<double>(hits.sky_fraction[i]);
-    stats.absorbed_fraction += a * hits.absorbed[i] / rays;
-    stats.buried_fraction += a * hits.buried[i] / rays;
+    const PatchSight& sight = hits.sight[i];
+    const double rays = sight.rays, a = static_cast<double>(set.patches[i].area_m2);
+    stats.rays += sight.rays;
+    stats.fewest_rays = i == 0 ? sight.rays : std::min<uint32_t>(stats.fewest_rays, sight.rays);
+    square_error += static_cast<double>(sight.square_error);
+    sky[i] = sight.sky_fraction / sight.exposed();
+    narrow[i] = sight.narrow;
+    lamp_lit[i] = sight.lamp_lit;
+    stats.sky_fraction += a * static_cast<double>(sight.sky_fraction);
+    stats.absorbed_fraction += a * sight.absorbed / rays;
+    stats.buried_fraction += a * sight.buried / rays;
     whole_area[i] = set.patches[i].area_m2;
-    set.patches[i].area_m2 *= exposedFraction(hits, i);
+    set.patches[i].area_m2 *= sight.exposed();
   }
   stats.mean_rays = static_cast<uint32_t>(stats.rays / n);
   stats.row_error = 2 * static_cast<float>(std::sqrt(square_error / static_cast<double>(n)));
@@ -314,36 +441,28 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);
   stats.sky_fraction /= stats.area_m2;
   stats.absorbed_fraction /= stats.area_m2;
-  if (auto line = lightOnBacks(scene, set, hits, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
+  if (auto line = lightOnBacks(scene, set, hits.sight, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
 
   // Pooling and the pyramid.
-  std::vector<uint8_t> lamp_lit(n);
-  for (size_t i = 0; i < n; ++i) lamp_lit[i] = !hits.lamps[i].empty();
-  const Hierarchy hierarchy = makeHierarchy(set.patches, sky, hits.narrow, lamp_lit);
-  std::vector<std::unique_ptr<ExchangeLevel>> exchange;
-  std::vector<std::vector<NodeValues>> values;
-  values.push_back(patchValues(set.patches, hierarchy));
+  const Hierarchy hierarchy = makeHierarchy(set.patches, sky, narrow, lamp_lit);
+  std::vector<uint32_t> patch_of(n);
+  for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
+  uint64_t tiles_total = 0;
+  for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
+  Spill rows_aside(path, spareMemory(settings) / 4);
+  std::vector<double> density(n);
+  for (size_t i = 0; i < n; ++i) density[hierarchy.number[i]] = hits.sight[i].rays / static_cast<double>(whole_area[i]);
+  std::vector<LevelRows> levels;
+  std::vector<std::vector<LightValues>> light;  // of all nodes, by level
   {
-    ProgressReport report(progress, "pyramid", hierarchy.levels() - 1, settings.stop);
-    std::vector<float> areas(n);
-    for (size_t i = 0; i < n; ++i) areas[hierarchy.number[i]] = whole_area[i];
-    HitRows ordered = renumber(hits, hierarchy.number);
-    hits = {};
-    exchange.push_back(std::make_unique<PooledPatches>(std::move(ordered), std::move(areas)));
-    for (uint32_t l = 1; l < hierarchy.levels(); ++l) {
-      exchange.push_back(
-          std::make_unique<ClusterExchange>(*exchange.back(), hierarchy.parents[l - 1], hierarchy.nodes[l]));
-      values.push_back(clusterValues(values.back(), hierarchy, l));
-      report.count.add();
-    }
+    ProgressReport report(progress, "pyramid", hits.ranges() + hierarchy.tile_start[0].size() - 1 + tiles_total, settings.stop);
+    for (uint32_t l = 0; l < hierarchy.levels(); ++l)
+      levels.emplace_back(hierarchy.tile_start[l].size() - 1, l == 0 ? std::span<const double>(density) : std::span<const double>{}, rows_aside);
+    light.push_back(poolPatches(set.patches, patch_of, sun, whole_area, hierarchy, density, hits, path, settings, levels[0], report.count, stats.spilled_bytes));
+    for (uint32_t l = 1; l < hierarchy.levels(); ++l) light.push_back(gatherClusters(levels[l - 1], light[l - 1], hierarchy, l, levels[l], report.count));
   }
-
-  std::vector<SunLight> sun(n);
-  for (size_t i = 0; i < n; ++i) sun[hierarchy.number[i]] = sun_on_patches[i];
-  std::vector<RowSamples> samples;
-  samples.emplace_back(*exchange[0], values[0], sun);
-  for (uint32_t l = 1; l < hierarchy.levels(); ++l)
-    samples.emplace_back(samples.back(), values[l - 1], hierarchy.parents[l - 1], hierarchy.nodes[l]);
+  stats.spilled_bytes += hits.spilled() + rows_aside.written();
+  giveBackMemory();
   const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set.patches);
 
   // Strips, coarsest level first; batches are sampled and encoded in parallel and written in order.
@@ -352,8 +471,6 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   std::vector<uint32_t> lowered;  // patches whose albedo was lowered, by number
   stats.levels.resize(hierarchy.levels());
   {
-    uint64_t tiles_total = 0;
-    for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
     ProgressReport report(progress, "strips", tiles_total, settings.stop);
     constexpr uint32_t kBatch = 32;
     for (uint32_t l = hierarchy.levels(); l-- > 0;) {
@@ -365,10 +482,10 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
         std::vector<std::unique_ptr<Result<formats::EncodedStrip>>> encoded(count);
         std::vector<Sampling> sampling(count);
         tbb::parallel_for(0u, count, [&](uint32_t k) {
-          const formats::Strip strip =
-              makeStrip({l, first + k}, hierarchy, *exchange[l], values[l], samples[l], lamp_groups, settings, sampling[k]);
+          const std::vector<NodeRow> rows = levels[l].get(first + k);
+          const formats::Strip strip = makeStrip({l, first + k}, hierarchy, rows, light[l], lamp_groups, settings, sampling[k]);
           Box bounds;
-          for (size_t i = 0; i < strip.nodes.size(); ++i) bounds.add(values[l][strip.first_node + i].bounds);
+          for (const NodeRow& row : rows) bounds.add(row.bounds);
           encoded[k] = std::make_unique<Result<formats::EncodedStrip>>(formats::encodeStrip(strip, bounds, hierarchy.names[l]));
         });
         for (uint32_t k = 0; k < count; ++k) {
@@ -383,7 +500,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
           report.count.add();
         }
       }
-      exchange[l].reset();
+      release(light[l]);
     }
   }
 
@@ -408,8 +525,6 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.lights = scene.lights;
 
   // Drawing geometry.
-  std::vector<uint32_t> patch_of(n);
-  for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
   if (auto line = rowsThatAreOff(scene, set, off, patch_of); !line.empty()) stats.warnings.push_back(std::move(line));
   const auto& tiles = hierarchy.tile_start[0];
   if (settings.geometry) {
@@ -474,6 +589,8 @@ auto caught(const Scene& scene, F f) -> decltype(f()) {
     return f();
   } catch (const Stopped&) {
     return Error{ErrorCode::kIo, scene.name, "", "the bake was stopped", "", ErrorCause::kStopped};
+  } catch (const SpillFailed& failed) {
+    return failed.error;
   } catch (const std::bad_alloc&) {  // the estimate was too low
     return Error{ErrorCode::kIo, scene.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
   } catch (const std::system_error& e) {  // of threads: files have errors of their own

@@ -39,7 +39,8 @@ struct BakeSettings {
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals
   CleanupSettings cleanup{};
-  uint64_t memory_bytes = 0;      // a bake that would need more is refused; 0: what the machine has free
+  uint64_t memory_bytes = 0;      // most that the process holds, within a tenth: what does not fit goes to files beside the world, and a bake that would
+                                  // need more all the same is refused; 0: what the machine has free
   std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
   BakeCache* cache = nullptr;      // what was done before is taken from it, what is done is kept there; null: neither
   const std::atomic<bool>* stop = nullptr;  // once it is true, the bake ends within a second, with an error of cause kStopped
@@ -66,6 +67,7 @@ struct BakeStats {
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMaxReflected
   std::vector<NotModelled> not_modelled;
   UnitCounts ray_units;  // of the cache
+  uint64_t spilled_bytes = 0;  // written to files for want of memory
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
 

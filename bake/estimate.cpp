@@ -1,5 +1,7 @@
 #include "bake/estimate.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -7,7 +9,8 @@
 #include <limits>
 #include <string>
 #include <thread>
-#include <unordered_set>
+
+#include <tsl/robin_set.h>
 
 #include "bake/light/form_factor.h"
 #include "bake/rays/sobol.h"
@@ -19,11 +22,11 @@ namespace ff::bake {
 namespace {
 
 // Measured on towns and rooms; they need to be right within a factor of two only.
-constexpr double kBytesAPiece = 450, kBytesATriangle = 400, kBytesAPatch = 2500, kBytesARay = 2.2;
+constexpr double kBytesAPiece = 200, kBytesATriangle = 215, kBytesAPatch = 140;
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
 constexpr double kSurelyOnDisk = 0.5;  // of the estimate
-constexpr double kRaysAtError = 1600, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
-constexpr double kRaysASecond = 3e6;  // of one core, over the whole bake
+constexpr double kRaysAtError = 2200, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
+constexpr double kRaysASecond = 1.1e6;  // of one core, over the whole bake
 
 std::string rounded(double x, const char* unit = "") {
   const char* prefix[] = {"", "k", "M", "G", "T", "P"};
@@ -41,8 +44,8 @@ double raysOf(const BakeSettings& settings) {
   return std::clamp<double>(asked, RayBudget(settings.rays, settings.target_error).fewest(), settings.rays);
 }
 
-double memoryOf(double patches, double pieces, double triangles, double rays) {
-  return triangles * kBytesATriangle + pieces * kBytesAPiece + patches * (kBytesAPatch + kBytesARay * rays);
+double memoryOf(double patches, double pieces, double triangles) {
+  return triangles * kBytesATriangle + pieces * kBytesAPiece + patches * kBytesAPatch;
 }
 
 uint64_t numberIn(const std::string& path) {
@@ -73,6 +76,16 @@ uint64_t freeMemory() {
   return free;
 }
 
+uint64_t spareMemory(const BakeSettings& settings) {
+  constexpr uint64_t kLeast = uint64_t{8} << 20;
+  if (settings.memory_bytes == 0) return std::max(kLeast, freeMemory());
+  std::ifstream statm("/proc/self/statm");
+  uint64_t pages = 0, resident = 0;
+  statm >> pages >> resident;
+  resident *= static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
+  return std::max(kLeast, settings.memory_bytes - std::min(settings.memory_bytes, resident));
+}
+
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   BakeEstimate e;
   double area = 0;
@@ -81,7 +94,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
     area += static_cast<double>(triangleArea(scene, t)) * patchedSides(material) / faceCells(finenessOf(material.density));
   }
   e.cell_m = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / std::max(1u, settings.patch_budget));
-  std::unordered_set<uint64_t> small;  // cells and orientations of triangles smaller than a cell, which share patches
+  tsl::robin_set<uint64_t> small;  // cells and orientations of triangles smaller than a cell, which share patches
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto& v = scene.triangles[t].v;
     const Material& material = scene.materials[scene.triangles[t].material];
@@ -92,7 +105,12 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
     // A plane cuts (|x| + |y| + |z|) cells a cell's face of area, its unit normal's components; its border some more.
     const double across = whole > 0 ? (std::abs(static_cast<double>(n.x)) + std::abs(static_cast<double>(n.y)) + std::abs(static_cast<double>(n.z))) / (2 * whole) : 1;
     const double border = static_cast<double>(length(b - a) + length(c - b) + length(a - c));
-    const double pieces = 1 + whole * across / (s * s) + border / s;
+    double cells = 1;  // that its box touches; what ends in a grid plane does not reach beyond it
+    for (int k = 0; k < 3; ++k) {
+      const auto [least, most] = std::minmax({a[k], b[k], c[k]});
+      cells *= std::max(1.0, std::ceil(static_cast<double>(most) / s - 1e-3) - std::floor(static_cast<double>(least) / s + 1e-3));
+    }
+    const double pieces = std::min(cells, 1 + whole * across / (s * s) + border / s);
     e.pieces += pieces;
     if (border > 4 * s || settings.cell_m == 0) {
       e.patches += sides * std::max(whole * across / (s * s), whole > s * s ? 1.0 : 0.0);
@@ -108,7 +126,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   if (settings.cell_m == 0) e.patches = settings.patch_budget;
   const unsigned cores = std::max(1u, settings.threads > 0 ? static_cast<unsigned>(settings.threads) : std::thread::hardware_concurrency());
   const double rays = raysOf(settings);
-  e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()), rays);
+  e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()));
   e.disk_bytes = e.patches * (kDiskAPatch + kDiskAQuantum * settings.quanta);
   e.seconds = e.patches * rays / (kRaysASecond * cores);
   return e;

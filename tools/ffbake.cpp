@@ -124,7 +124,7 @@ int run(int argc, char** argv) {
       ->default_str("absorb");
   app.add_option("--scale", import.scale, "metres in a unit of the file: 0.01 for centimetres")->check(CLI::PositiveNumber)->capture_default_str();
   app.add_option("--up", up, "the file's axis that points up: y or z")->check(CLI::IsMember({"y", "z"}))->capture_default_str();
-  app.add_option("--memory", settings.memory_bytes, "a bake that would need more is refused: 16G (default: what is free)")
+  app.add_option("--memory", settings.memory_bytes, "most memory to take, 2G for one: what does not fit is put into files beside the world; a bake that needs more all the same is refused (default: what is free)")
       ->transform(CLI::AsSizeValue(true));
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
   app.add_option("--write-vdb", settings.vdb_path, "also write the occupied chunks, and the patches in each cell, as OpenVDB grids")->type_name("FILE.vdb");

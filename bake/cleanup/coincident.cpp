@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <unordered_map>
+#include <utility>
+
+#include <tsl/robin_map.h>
 
 #include "bake/rays/sobol.h"
 #include "bake/rays/surface_sampling.h"
@@ -96,14 +98,16 @@ class Finder {
       for (int64_t x = range[0][0]; x <= range[0][1]; ++x)
         for (int64_t y = range[1][0]; y <= range[1][1]; ++y)
           for (int64_t z = range[2][0]; z <= range[2][1]; ++z) {
-            const auto [first, last] = at_.equal_range(key(x, y, z, sizes[static_cast<size_t>(s)], face.corners));
-            for (auto it = first; it != last; ++it)
-              if (merge(faces_[it->second], face, tolerance)) return;
+            const auto there = last_.find(key(x, y, z, sizes[static_cast<size_t>(s)], face.corners));
+            for (uint32_t f = there == last_.end() ? kNone : there->second; f != kNone; f = before_[f])
+              if (merge(faces_[f], face, tolerance)) return;
           }
     }
     const double box = std::ldexp(1.0, std::ilogb(largest) - 14);
     const auto at = [&](size_t k) { return std::llround(std::floor(centre[k] / box)); };
-    at_.emplace(key(at(0), at(1), at(2), std::ilogb(largest), face.corners), static_cast<uint32_t>(faces_.size()));
+    const auto number = static_cast<uint32_t>(faces_.size());
+    const auto [here, first] = last_.insert({key(at(0), at(1), at(2), std::ilogb(largest), face.corners), number});
+    before_.push_back(first ? kNone : std::exchange(here.value(), number));
     faces_.push_back(face.triangles);
   }
 
@@ -128,8 +132,9 @@ class Finder {
 
   const Scene& scene_;
   std::vector<bool>& duplicate_;
-  std::unordered_multimap<uint64_t, uint32_t> at_;
   std::vector<std::array<uint32_t, 2>> faces_;
+  tsl::robin_map<uint64_t, uint32_t> last_;  // of a box: its newest face
+  std::vector<uint32_t> before_;             // of a face: the next older one of its box; kNone
 };
 
 }  // namespace

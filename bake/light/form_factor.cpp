@@ -5,8 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
+#include <map>
 #include <memory>
+#include <mutex>
 
 #include "bake/light/row_error.h"
 #include "bake/rays/cosine_rays.h"
@@ -21,7 +22,6 @@ constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for th
 static_assert(kTogetherLog <= kCastLog);
 constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches together whose errors tell how many rays they need: so many, or one of so many
 constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
-constexpr size_t kGrain = 64;            // rows renumbered by one task
 
 Ray cosineRay(const SurfacePoint& from) { return {from.position, cosineDirection(frameOf(from.normal), from.u, from.v)}; }
 
@@ -196,85 +196,26 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
   }
 }
 
-HitRows joined(std::vector<HitRows> ranges) {
-  size_t n = 0, entries = 0;
-  for (const HitRows& r : ranges) {
-    n += r.rays.size();
-    entries += r.column.size();
-  }
-  HitRows all;
-  const auto join = [&](auto member, size_t size) {
-    auto& to = all.*member;
-    to.reserve(size);
-    for (HitRows& r : ranges) {
-      auto& from = r.*member;
-      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
-      from = {};
-    }
-  };
-  all.start.reserve(n + 1);
-  all.start.push_back(0);
-  for (HitRows& r : ranges) {
-    const uint64_t before = all.start.back();
-    for (size_t i = 1; i < r.start.size(); ++i) all.start.push_back(before + r.start[i]);
-  }
-  join(&HitRows::column, entries);
-  join(&HitRows::count, entries);
-  for (const auto member : {&HitRows::rays, &HitRows::sky, &HitRows::absorbed, &HitRows::buried}) join(member, n);
-  join(&HitRows::square_error, n);
-  join(&HitRows::sky_fraction, n);
-  join(&HitRows::sky_means, n);
-  join(&HitRows::lamps, n);
-  join(&HitRows::narrow, n);
-  return all;
+void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done, const TakeRows& take) {
+  const std::vector<uint32_t> start = castRanges(set);
+  const RowCaster rows(scene, set, caster, budget, seed);
+  tbb::parallel_for(size_t{0}, start.size() - 1, [&](size_t r) { take(start[r], rows.cast(start[r], start[r + 1], nullptr, done)); });
 }
 
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done) {
-  const std::vector<uint32_t> start = castRanges(set);
-  const RowCaster rows(scene, set, caster, budget, seed);
-  std::vector<HitRows> parts(start.size() - 1);
-  tbb::parallel_for(size_t{0}, parts.size(), [&](size_t r) { parts[r] = rows.cast(start[r], start[r + 1], nullptr, done); });
-  return joined(std::move(parts));
+  return gathered([&](const TakeRows& take) { castRows(scene, set, caster, budget, seed, done, take); });
 }
 
-HitRows renumber(const HitRows& in, std::span<const uint32_t> number) {
-  const size_t n = in.sky.size();
-  std::vector<uint32_t> old(n);
-  for (uint32_t i = 0; i < n; ++i) old[number[i]] = i;
-  HitRows out;
-  out.start.assign(n + 1, 0);
-  out.rays.resize(n);
-  out.sky.resize(n);
-  out.absorbed.resize(n);
-  out.buried.resize(n);
-  out.sky_fraction.resize(n);
-  out.sky_means.resize(n);
-  out.lamps.resize(n);
-  for (size_t i = 0; i < n; ++i) out.start[i + 1] = out.start[i] + in.start[old[i] + 1] - in.start[old[i]];
-  out.column.resize(in.column.size());
-  out.count.resize(in.count.size());
-  tbb::parallel_for(tbb::blocked_range<size_t>(0, n, kGrain), [&](const tbb::blocked_range<size_t>& range) {
-    std::vector<std::pair<uint32_t, uint16_t>> row;
-    for (size_t i = range.begin(); i < range.end(); ++i) {
-      const uint32_t p = old[i];
-      out.rays[i] = in.rays[p];
-      out.sky[i] = in.sky[p];
-      out.absorbed[i] = in.absorbed[p];
-      out.buried[i] = in.buried[p];
-      out.sky_fraction[i] = in.sky_fraction[p];
-      out.sky_means[i] = in.sky_means[p];
-      out.lamps[i] = in.lamps[p];
-      row.clear();
-      for (uint64_t k = in.start[p]; k < in.start[p + 1]; ++k) row.emplace_back(number[in.column[k]], in.count[k]);
-      std::sort(row.begin(), row.end());
-      uint64_t at = out.start[i];
-      for (const auto& [column, count] : row) {
-        out.column[at] = column;
-        out.count[at++] = count;
-      }
-    }
+HitRows gathered(const std::function<void(const TakeRows&)>& cast) {
+  std::mutex mutex;
+  std::map<uint32_t, HitRows> ranges;
+  cast([&](uint32_t first, HitRows rows) {
+    const std::lock_guard lock(mutex);
+    ranges.emplace(first, std::move(rows));
   });
-  return out;
+  std::vector<HitRows> in_order;
+  for (auto& [first, rows] : ranges) in_order.push_back(std::move(rows));
+  return joined(std::move(in_order));
 }
 
 }  // namespace ff::bake

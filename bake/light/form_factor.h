@@ -10,12 +10,12 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <vector>
 
-#include "bake/light/lamp_light.h"
-#include "bake/light/sky_light.h"
+#include "bake/light/hit_rows.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/sobol.h"
 #include "bake/surface/patches.h"
@@ -35,20 +35,6 @@ struct RayBudget {
   uint32_t fewest() const { return target_error > 0 ? std::min(rays, kLeastRays) : rays; }
   uint32_t rays;        // 1 to 65535
   float target_error;   // root mean square over patches, of a row's light: row_error.h; 0: no error is asked for
-};
-
-// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to their `rays`.
-struct HitRows {
-  std::vector<uint32_t> rays;      // per patch
-  std::vector<uint64_t> start;     // patches + 1
-  std::vector<uint32_t> column;
-  std::vector<uint16_t> count;
-  std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
-  std::vector<float> square_error;       // per patch: RowError::square(); left behind by renumber()
-  std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
-  std::vector<SkyMeans> sky_means;       // per patch
-  std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
-  std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to; left behind by renumber()
 };
 
 // Origins stratified over the patch and directions stratified over the cosine-weighted hemisphere: those of castRows().
@@ -75,18 +61,14 @@ class RowCaster {
   std::unique_ptr<State> state_;
 };
 
-// Rows of ranges that follow each other as those of one.
-HitRows joined(std::vector<HitRows> ranges);
+// Takes the rows of the range that begins with patch `first`, as soon as they are cast: from many threads, ranges in any order.
+using TakeRows = std::function<void(uint32_t first, HitRows rows)>;
+// All that `cast` hands over, in order, as the rows of one range.
+HitRows gathered(const std::function<void(const TakeRows&)>& cast);
 
 // Casts all rows on all of TBB's threads.
+void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done, const TakeRows& take);
+// The same, all of them at once.
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done);
-
-// Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
-inline float exposedFraction(const HitRows& rows, size_t patch) {
-  return std::max(1e-6f, 1 - static_cast<float>(rows.buried[patch]) / static_cast<float>(rows.rays[patch]));
-}
-
-// The same rows with patch p renumbered to number[p].
-HitRows renumber(const HitRows& rows, std::span<const uint32_t> number);
 
 }  // namespace ff::bake

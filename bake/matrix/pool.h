@@ -1,13 +1,19 @@
 // Reciprocity pooling: A_i F_ij = A_j F_ji, so rays from both ends estimate one exchange area
 //   X_ij = (h_ij + h_ji) / (rays_i/A_i + rays_j/A_j),
 // all hits over the pooled density of rays. Sky, absorption and lamps' light are known from one end only. A_i is the whole area that rays
-// start from; area() of the level is the exposed part.
+// start from.
+//
+// What rays from one end hit is wanted at the other: hits are sorted by the node that they are wanted at in two passes, through buckets of
+// nodes that follow each other, of which one at a time is in memory.
 #pragma once
 #include <cstdint>
+#include <mutex>
 #include <span>
+#include <utility>
 #include <vector>
 
-#include "bake/light/form_factor.h"
+#include "bake/light/hit_rows.h"
+#include "bake/spill.h"
 
 namespace ff::bake {
 
@@ -21,30 +27,76 @@ struct ExchangeRow {
   double total_m2() const;            // of the columns, sky and absorbed: the node's area, but for noise
 };
 
-// Exchange areas among the nodes of one level, by row.
-class ExchangeLevel {
+// The rows of a bucket.
+class PooledRows {
  public:
-  virtual ~ExchangeLevel() = default;
-  virtual uint32_t nodes() const = 0;
-  virtual float area(uint32_t node) const = 0;  // m2
+  uint32_t first() const { return first_; }
+  uint32_t end() const { return first_ + static_cast<uint32_t>(ends_.size()); }
   // Fills `out`, reusing its memory. Thread-safe.
-  virtual void row(uint32_t node, ExchangeRow& out) const = 0;
-};
-
-// Level 0: pools hit rows and their transpose on the fly. Memory: 12 bytes a hit entry.
-class PooledPatches final : public ExchangeLevel {
- public:
-  PooledPatches(HitRows rows, std::vector<float> areas_m2);
-  uint32_t nodes() const override { return static_cast<uint32_t>(areas_.size()); }
-  float area(uint32_t node) const override { return areas_[node] * exposed_[node]; }
-  void row(uint32_t node, ExchangeRow& out) const override;
+  void row(uint32_t node, ExchangeRow& out) const;
 
  private:
-  HitRows rows_;
-  std::vector<float> areas_, exposed_;  // whole; the exposed fraction of it
-  std::vector<uint64_t> column_start_;  // the transpose: hits on node j, sources ascending
-  std::vector<uint32_t> source_;
-  std::vector<uint16_t> count_;
+  friend class HitPool;
+  struct Hits {
+    uint32_t column;
+    uint16_t count;
+  };
+  struct Run {  // of one block of hits_; columns ascending
+    uint32_t block, begin, end;
+  };
+  // What a node knows from its own end.
+  struct Ends {
+    double sky_m2 = 0, absorbed_m2 = 0;
+    SkyMeans sky_means;
+    std::vector<LampIrradiance> lamps;
+  };
+  std::span<const double> density_;
+  uint32_t first_ = 0;
+  std::vector<std::vector<Hits>> hits_;
+  std::vector<uint64_t> run_start_;  // of node first_ + i in runs_
+  std::vector<Run> runs_;
+  std::vector<Ends> ends_;
+};
+
+class HitPool {
+ public:
+  static constexpr uint64_t kBytesAHit = 8;  // of the rows of a bucket; a hit counts at either end
+
+  // number: the node of each patch. area_m2: of each patch, whole. density: rays by area of each node, 1/m2. bucket_start: first nodes of the buckets,
+  // then the number of nodes. All outlive it and the rows that it hands out.
+  HitPool(std::span<const uint32_t> number, std::span<const float> area_m2, std::span<const double> density, std::vector<uint32_t> bucket_start, Spill& spill)
+      : number_(number), area_m2_(area_m2), density_(density), bucket_start_(std::move(bucket_start)), bucket_(bucket_start_.size() - 1), spill_(spill) {}
+  // Rows of patches [first, first + rows.patches()), each once, in any order. Thread-safe.
+  void add(uint32_t first_patch, const HitRows& rows);
+  size_t buckets() const { return bucket_start_.size() - 1; }
+  // Once all is added, and once for each bucket; on all of TBB's threads. Memory: kBytesAHit.
+  PooledRows take(size_t bucket);
+
+ private:
+  struct Bucket {
+    std::mutex mutex;
+    std::vector<Spill::Block> blocks;
+  };
+  const std::span<const uint32_t> number_;
+  const std::span<const float> area_m2_;
+  const std::span<const double> density_;
+  const std::vector<uint32_t> bucket_start_;
+  std::vector<Bucket> bucket_;
+  Spill& spill_;
+};
+
+// All patches in one bucket, in their own order.
+class PooledPatches {
+ public:
+  // areas_m2: whole. Memory: 8 bytes a hit, from either end.
+  PooledPatches(const HitRows& rows, std::span<const float> areas_m2);
+  uint32_t nodes() const { return rows_.end(); }
+  // As PooledRows::row().
+  void row(uint32_t patch, ExchangeRow& out) const { rows_.row(patch, out); }
+
+ private:
+  std::vector<double> density_;
+  PooledRows rows_;
 };
 
 }  // namespace ff::bake

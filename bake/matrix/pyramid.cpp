@@ -15,8 +15,6 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kChunk = 64;  // cluster rows gathered by one task
-
 struct SortKey {
   uint64_t top;     // cell of the coarsest level
   uint32_t group;   // lamp group, orientation, openness, whether lamps light it
@@ -234,59 +232,6 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   return h;
 }
 
-std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierarchy& hierarchy) {
-  std::vector<NodeValues> values(patches.size());
-  for (size_t p = 0; p < patches.size(); ++p) {
-    NodeValues& v = values[hierarchy.number[p]];
-    v.node.area_m2 = patches[p].area_m2;
-    v.node.centroid = patches[p].centroid;
-    v.node.normal = patches[p].normal;
-    v.node.albedo = patches[p].albedo;
-    v.node.emission = patches[p].emission;
-    v.node.lamp_group = patches[p].lamp_group;
-    v.bounds = patches[p].bounds;
-  }
-  if (hierarchy.levels() > 1)
-    for (size_t i = 0; i < values.size(); ++i) values[i].node.parent = hierarchy.parents[0][i];
-  return values;
-}
-
-Children::Children(std::span<const uint32_t> parents, uint32_t nodes) : start_(nodes + 1, 0), child_(parents.size()) {
-  for (const uint32_t p : parents) ++start_[p + 1];
-  std::partial_sum(start_.begin(), start_.end(), start_.begin());
-  std::vector<uint32_t> next(start_.begin(), start_.end() - 1);
-  for (uint32_t i = 0; i < parents.size(); ++i) child_[next[parents[i]]++] = i;
-}
-
-std::vector<NodeValues> clusterValues(std::span<const NodeValues> below, const Hierarchy& hierarchy, uint32_t level) {
-  std::vector<NodeValues> values(hierarchy.nodes[level]);
-  const Children children(hierarchy.parents[level - 1], hierarchy.nodes[level]);
-  for (uint32_t n = 0; n < values.size(); ++n) {
-    double area = 0, sums[12] = {};
-    NodeValues& v = values[n];
-    for (const uint32_t child : children.of(n)) {
-      const formats::Node& c = below[child].node;
-      const Vec3 fields[4] = {c.centroid, c.normal, c.albedo, c.emission};
-      area += static_cast<double>(c.area_m2);
-      for (int f = 0; f < 4; ++f)
-        for (int a = 0; a < 3; ++a) sums[3 * f + a] += static_cast<double>(c.area_m2) * static_cast<double>(fields[f][a]);
-      v.bounds.add(below[child].bounds);
-    }
-    const auto mean = [&](int f) {
-      return Vec3{static_cast<float>(sums[3 * f] / area), static_cast<float>(sums[3 * f + 1] / area),
-                  static_cast<float>(sums[3 * f + 2] / area)};
-    };
-    v.node.area_m2 = static_cast<float>(area);
-    v.node.centroid = mean(0);
-    v.node.normal = normalized(mean(1));
-    v.node.albedo = mean(2);
-    v.node.emission = mean(3);
-    v.node.lamp_group = below[children.of(n)[0]].node.lamp_group;
-    if (level + 1 < hierarchy.levels()) v.node.parent = hierarchy.parents[level][n];
-  }
-  return values;
-}
-
 namespace {
 
 void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradiance>& sum) {
@@ -296,75 +241,105 @@ void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradianc
   }
 }
 
-}  // namespace
+// A row in the making; of all nodes of the level, all zero between rows.
+struct RowSums {
+  explicit RowSums(uint32_t nodes) : exchange(nodes), seen(nodes) {}
+  std::vector<double> exchange;
+  std::vector<uint8_t> seen;
+  std::vector<uint32_t> touched;
+};
 
-ClusterExchange::ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes)
-    : areas_(nodes), start_(nodes + 1, 0), sky_m2_(nodes), absorbed_m2_(nodes), sky_means_(nodes), lamps_(nodes) {
-  const Children children(parents, nodes);
-  struct Scratch {
-    std::vector<double> exchange;  // per node, zero between rows
-    std::vector<uint8_t> seen;
-    std::vector<uint32_t> touched;
-    ExchangeRow row;
-  };
-  tbb::enumerable_thread_specific<Scratch> scratch(
-      [&] { return Scratch{std::vector<double>(nodes), std::vector<uint8_t>(nodes), {}, {}}; });
-  const size_t chunks = (nodes + kChunk - 1) / kChunk;
-  std::vector<std::vector<std::pair<uint32_t, float>>> parts(chunks);
-  tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
-    Scratch& s = scratch.local();
-    for (auto n = static_cast<uint32_t>(c * kChunk); n < std::min<size_t>(nodes, (c + 1) * kChunk); ++n) {
-      double area = 0, absorbed = 0;
-      SkySums sky;
-      for (const uint32_t i : children.of(n)) {
-        below.row(i, s.row);
-        for (size_t k = 0; k < s.row.column.size(); ++k) {
-          const uint32_t j = parents[s.row.column[k]];
-          if (!s.seen[j]) {
-            s.seen[j] = 1;
-            s.touched.push_back(j);
-          }
-          s.exchange[j] += s.row.area_m2[k];
-        }
-        area += static_cast<double>(below.area(i));
-        sky.add(s.row.sky_means, s.row.sky_m2);
-        absorbed += s.row.absorbed_m2;
-        addLamps(s.row.lamps, lamps_[n]);
+// The node over `children`, in their order, of which there is at least one; parents: of the level below.
+NodeRow gathered(std::span<const NodeRow* const> children, std::span<const uint32_t> parents, RowSums& s) {
+  NodeRow node;
+  double area = 0, absorbed = 0, sums[12] = {};
+  SkySums sky;
+  for (const NodeRow* child : children) {
+    const formats::Node& c = child->node;
+    const ExchangeRow& row = child->row;
+    for (size_t k = 0; k < row.column.size(); ++k) {
+      const uint32_t j = parents[row.column[k]];
+      if (!s.seen[j]) {
+        s.seen[j] = 1;
+        s.touched.push_back(j);
       }
-      std::sort(s.touched.begin(), s.touched.end());
-      for (uint32_t j : s.touched) {
-        parts[c].emplace_back(j, static_cast<float>(s.exchange[j]));
-        s.exchange[j] = 0;
-        s.seen[j] = 0;
-      }
-      start_[n + 1] = s.touched.size();
-      s.touched.clear();
-      areas_[n] = static_cast<float>(area);
-      sky_m2_[n] = sky.weight();
-      sky_means_[n] = sky.means();
-      absorbed_m2_[n] = absorbed;
+      s.exchange[j] += row.area_m2[k];
     }
-  });
-  for (size_t n = 0; n < nodes; ++n) start_[n + 1] += start_[n];
-  column_.reserve(start_[nodes]);
-  exchange_m2_.reserve(start_[nodes]);
-  for (auto& part : parts) {
-    for (const auto& [j, x] : part) {
-      column_.push_back(j);
-      exchange_m2_.push_back(x);
-    }
-    part = {};
+    area += static_cast<double>(c.area_m2);
+    sky.add(row.sky_means, row.sky_m2);
+    absorbed += row.absorbed_m2;
+    addLamps(row.lamps, node.row.lamps);
+    const Vec3 fields[4] = {c.centroid, c.normal, c.albedo, c.emission};
+    for (int f = 0; f < 4; ++f)
+      for (int a = 0; a < 3; ++a) sums[3 * f + a] += static_cast<double>(c.area_m2) * static_cast<double>(fields[f][a]);
+    node.bounds.add(child->bounds);
   }
+  std::sort(s.touched.begin(), s.touched.end());
+  for (const uint32_t j : s.touched) {
+    node.row.column.push_back(j);
+    node.row.area_m2.push_back(static_cast<double>(static_cast<float>(s.exchange[j])));  // as it is kept
+    s.exchange[j] = 0;
+    s.seen[j] = 0;
+  }
+  s.touched.clear();
+  node.row.sky_m2 = sky.weight();
+  node.row.sky_means = sky.means();
+  node.row.absorbed_m2 = absorbed;
+  const auto mean = [&](int f) {
+    return Vec3{static_cast<float>(sums[3 * f] / area), static_cast<float>(sums[3 * f + 1] / area), static_cast<float>(sums[3 * f + 2] / area)};
+  };
+  node.node.area_m2 = static_cast<float>(area);
+  node.node.centroid = mean(0);
+  node.node.normal = normalized(mean(1));
+  node.node.albedo = mean(2);
+  node.node.emission = mean(3);
+  node.node.lamp_group = children[0]->node.lamp_group;
+  return node;
 }
 
-void ClusterExchange::row(uint32_t node, ExchangeRow& out) const {
-  const auto a = static_cast<ptrdiff_t>(start_[node]), b = static_cast<ptrdiff_t>(start_[node + 1]);
-  out.column.assign(column_.begin() + a, column_.begin() + b);
-  out.area_m2.assign(exchange_m2_.begin() + a, exchange_m2_.begin() + b);
-  out.sky_m2 = sky_m2_[node];
-  out.absorbed_m2 = absorbed_m2_[node];
-  out.sky_means = sky_means_[node];
-  out.lamps = lamps_[node];
+}  // namespace
+
+std::vector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& h, uint32_t level, LevelRows& own,
+                                        WorkCount& done) {
+  const std::vector<uint32_t>&parents = h.parents[level - 1], &tiles = h.tile_start[level], &child_tiles = h.tile_start[level - 1];
+  const std::vector<uint32_t>& tile_parents = h.tile_parents[level - 1];
+  std::vector<LightValues> own_light(h.nodes[level]);
+  tbb::enumerable_thread_specific<RowSums> scratch([&] { return RowSums(h.nodes[level]); });
+  tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
+    std::vector<NodeRow> rows(tiles[t + 1] - tiles[t]);
+    const auto [first, last] = std::equal_range(tile_parents.begin(), tile_parents.end(), t);
+    for (auto child_tile = static_cast<uint32_t>(first - tile_parents.begin()); child_tile < static_cast<uint32_t>(last - tile_parents.begin()); ++child_tile) {
+      const uint32_t first_child = child_tiles[child_tile];
+      const std::vector<NodeRow> children = below.get(child_tile);
+      std::vector<std::pair<uint32_t, uint32_t>> by_parent;  // parent, child; siblings lie in one tile
+      for (uint32_t i = 0; i < children.size(); ++i) by_parent.emplace_back(parents[first_child + i], i);
+      std::sort(by_parent.begin(), by_parent.end());
+      std::vector<const NodeRow*> siblings;
+      for (size_t k = 0; k < by_parent.size();) {
+        const uint32_t parent = by_parent[k].first;
+        siblings.clear();
+        float area = 0;
+        size_t end = k;
+        for (; end < by_parent.size() && by_parent[end].first == parent; ++end) {
+          siblings.push_back(&children[by_parent[end].second]);
+          area += siblings.back()->node.area_m2;
+        }
+        NodeRow& row = rows[parent - tiles[t]] = gathered(siblings, parents, scratch.local());
+        if (level + 1 < h.levels()) row.node.parent = h.parents[level][parent];
+        for (; k < end; ++k) {
+          const NodeRow& child = children[by_parent[k].second];
+          const float share = child.node.area_m2 / area;
+          for (size_t l = 0; l < kLights; ++l) {
+            row.direct[l] += share * child.direct[l];
+            own_light[parent][l] += share * light[first_child + by_parent[k].second][l];
+          }
+        }
+      }
+    }
+    own.put(t, tiles[t], rows);
+    done.add();
+  });
+  return own_light;
 }
 
 }  // namespace ff::bake

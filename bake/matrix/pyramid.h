@@ -16,7 +16,7 @@
 #include <span>
 #include <vector>
 
-#include "bake/matrix/pool.h"
+#include "bake/matrix/level_rows.h"
 #include "bake/surface/patches.h"
 #include "formats/model.h"
 
@@ -51,41 +51,9 @@ struct Hierarchy {
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
                         std::span<const uint8_t> narrow = {}, std::span<const uint8_t> lamp_lit = {});
 
-// The nodes of a level by parent, each parent's ascending.
-class Children {
- public:
-  // parents: Hierarchy::parents of the level; nodes: of the level above.
-  Children(std::span<const uint32_t> parents, uint32_t nodes);
-  std::span<const uint32_t> of(uint32_t parent) const { return std::span(child_).subspan(start_[parent], start_[parent + 1] - start_[parent]); }
-
- private:
-  std::vector<uint32_t> start_, child_;
-};
-
-// What a node carries beside its row, for all nodes of a level.
-struct NodeValues {
-  formats::Node node;  // area, centroid, normal, albedo, emission, parent
-  Box bounds;
-};
-std::vector<NodeValues> patchValues(std::span<const Patch> patches, const Hierarchy& hierarchy);
-std::vector<NodeValues> clusterValues(std::span<const NodeValues> below, const Hierarchy& hierarchy, uint32_t level);
-
-// Exchange areas of level `level` >= 1 from those of the level below, on all of TBB's threads. Memory: 8 bytes an entry.
-class ClusterExchange final : public ExchangeLevel {
- public:
-  ClusterExchange(const ExchangeLevel& below, std::span<const uint32_t> parents, uint32_t nodes);
-  uint32_t nodes() const override { return static_cast<uint32_t>(areas_.size()); }
-  float area(uint32_t node) const override { return areas_[node]; }
-  void row(uint32_t node, ExchangeRow& out) const override;
-
- private:
-  std::vector<float> areas_;
-  std::vector<uint64_t> start_;
-  std::vector<uint32_t> column_;
-  std::vector<float> exchange_m2_;
-  std::vector<double> sky_m2_, absorbed_m2_;
-  std::vector<SkyMeans> sky_means_;
-  std::vector<std::vector<LampIrradiance>> lamps_;
-};
+// The level above: a tile's rows from those of its child tiles, on all of TBB's threads. `own` is filled. light: of all nodes of the level below,
+// as rowFactor() asks for it; returns that of this level. done: counts tiles. Memory: of the tiles in work, and 9 bytes a node of the level for each thread.
+std::vector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& hierarchy, uint32_t level, LevelRows& own,
+                                        WorkCount& done);
 
 }  // namespace ff::bake

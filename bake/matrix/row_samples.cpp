@@ -1,6 +1,5 @@
 #include "bake/matrix/row_samples.h"
 
-#include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -52,51 +51,27 @@ std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, cons
   return light;
 }
 
-RowSamples::RowSamples(const ExchangeLevel& patches, std::span<const NodeValues> values, std::span<const SunLight> sun)
-    : direct_(patches.nodes()), radiosity_(patches.nodes()) {
-  tbb::enumerable_thread_specific<ExchangeRow> rows;
-  const auto reflect = [&](uint32_t node, double irradiance) {
-    const Vec3 albedo = values[node].node.albedo;
-    return (albedo.x + albedo.y + albedo.z) / 3 * static_cast<float>(irradiance);
-  };
-  tbb::parallel_for(0u, patches.nodes(), [&](uint32_t i) {
-    ExchangeRow& row = rows.local();
-    patches.row(i, row);
-    Values& direct = direct_[i];
-    direct[kSky] = static_cast<float>(row.sky_m2) / patches.area(i);
-    for (size_t s = 0; s < kSuns; ++s) direct[s] = direct[kSky] + sun[i][s];
-    for (const LampIrradiance& lamp : row.lamps)
-      for (const double watts : lamp.rgb) direct[kLamps] += static_cast<float>(watts) / patches.area(i) / 3;
-    for (size_t l = 0; l < kLights; ++l) radiosity_[i][l] = reflect(i, static_cast<double>(direct[l]));
-  });
-  std::vector<Values> next(patches.nodes());
-  tbb::parallel_for(0u, patches.nodes(), [&](uint32_t i) {
-    ExchangeRow& row = rows.local();
-    patches.row(i, row);
-    std::array<double, kLights> gathered{};  // W
+LightValues directLight(const ExchangeRow& row, float area_m2, const SunLight& sun) {
+  LightValues direct{};
+  direct[kSky] = static_cast<float>(row.sky_m2) / area_m2;
+  for (size_t s = 0; s < kSuns; ++s) direct[s] = direct[kSky] + sun[s];
+  for (const LampIrradiance& lamp : row.lamps)
+    for (const double watts : lamp.rgb) direct[kLamps] += static_cast<float>(watts) / area_m2 / 3;
+  return direct;
+}
+
+LightValues reflectedLight(Vec3 albedo, float area_m2, const LightValues& direct, const ExchangeRow& row, std::span<const LightValues> radiosity) {
+  std::array<double, kLights> gathered{};  // W
+  if (!radiosity.empty())
     for (size_t k = 0; k < row.column.size(); ++k)
-      for (size_t l = 0; l < kLights; ++l) gathered[l] += row.area_m2[k] * static_cast<double>(radiosity_[row.column[k]][l]);
-    for (size_t l = 0; l < kLights; ++l)
-      next[i][l] = reflect(i, static_cast<double>(direct_[i][l]) + gathered[l] / static_cast<double>(patches.area(i)));
-  });
-  radiosity_ = std::move(next);
+      for (size_t l = 0; l < kLights; ++l) gathered[l] += row.area_m2[k] * static_cast<double>(radiosity[row.column[k]][l]);
+  LightValues reflected;
+  for (size_t l = 0; l < kLights; ++l)
+    reflected[l] = (albedo.x + albedo.y + albedo.z) / 3 * static_cast<float>(static_cast<double>(direct[l]) + gathered[l] / static_cast<double>(area_m2));
+  return reflected;
 }
 
-RowSamples::RowSamples(const RowSamples& children, std::span<const NodeValues> values, std::span<const uint32_t> parents, uint32_t nodes)
-    : direct_(nodes), radiosity_(nodes) {
-  std::vector<float> area(nodes);
-  for (size_t i = 0; i < parents.size(); ++i) area[parents[i]] += values[i].node.area_m2;
-  for (size_t i = 0; i < parents.size(); ++i) {
-    const uint32_t p = parents[i];
-    const float share = values[i].node.area_m2 / area[p];
-    for (size_t l = 0; l < kLights; ++l) {
-      direct_[p][l] += share * children.direct_[i][l];
-      radiosity_[p][l] += share * children.radiosity_[i][l];
-    }
-  }
-}
-
-uint32_t RowSamples::factor(uint32_t node, const ExchangeRow& row, uint32_t quanta) const {
+uint32_t rowFactor(const LightValues& direct, const ExchangeRow& row, uint32_t quanta, std::span<const LightValues> radiosity) {
   const double sum = row.total_m2();
   if (!(sum > 0)) return 1;
   std::array<std::array<double, kLights>, kOffsets> light{};  // of the row's samples at each offset, added up
@@ -106,7 +81,7 @@ uint32_t RowSamples::factor(uint32_t node, const ExchangeRow& row, uint32_t quan
   for (size_t k = 0; k < row.column.size(); ++k) {
     at += row.area_m2[k] * scale;
     const auto reached = static_cast<uint64_t>(at);
-    const Values& from = radiosity_[row.column[k]];
+    const LightValues& from = radiosity[row.column[k]];
     const uint64_t rounds = (reached - taken) / kOffsets;
     if (rounds > 0)
       for (auto& sums : light)
@@ -118,7 +93,7 @@ uint32_t RowSamples::factor(uint32_t node, const ExchangeRow& row, uint32_t quan
   for (size_t l = 0; l < kLights; ++l) {
     double mean = 0;
     for (const auto& sums : light) mean += sums[l] / kOffsets;
-    const double got = static_cast<double>(direct_[node][l]) * quanta + mean;
+    const double got = static_cast<double>(direct[l]) * quanta + mean;
     const double bound = l == kLamps ? kLampRowError * got : kDayRowError * (got + kDayDark * quanta);
     // A row with twice as many samples is the mean of two rows half a step apart.
     uint32_t offsets = kOffsets;

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "bake/matrix/pool.h"
-#include "bake/matrix/pyramid.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/surface/patches.h"
 
@@ -27,20 +26,17 @@ using SunLight = std::array<float, kSuns>;  // on a patch from each, of an open,
 // By patch, from a few points of each, on all of TBB's threads. Positions as the caster has them.
 std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed);
 
-class RowSamples {
- public:
-  // Lets each light bounce twice, on all of TBB's threads. sun: by node. Memory: 56 bytes a node.
-  RowSamples(const ExchangeLevel& patches, std::span<const NodeValues> values, std::span<const SunLight> sun);
-  // The light of the nodes of the level above: means over their children. values: of the children.
-  RowSamples(const RowSamples& children, std::span<const NodeValues> values, std::span<const uint32_t> parents, uint32_t nodes);
-  // How many times as many samples as `quanta` the row of a node needs: 1 to formats::kMaxRowFactor. Thread-safe.
-  uint32_t factor(uint32_t node, const ExchangeRow& row, uint32_t quanta) const;
+// Each of the suns with the sky, the sky, the lamps; W/m2.
+inline constexpr size_t kSky = kSuns, kLamps = kSuns + 1, kLights = kSuns + 2;
+using LightValues = std::array<float, kLights>;
 
- private:
-  static constexpr size_t kSky = kSuns, kLamps = kSuns + 1, kLights = kSuns + 2;
-  using Values = std::array<float, kLights>;
-  std::vector<Values> direct_;     // irradiance from the lights themselves, by node
-  std::vector<Values> radiosity_;  // of what the node reflects
-};
+// Irradiance of a patch from the lights themselves.
+LightValues directLight(const ExchangeRow& row, float area_m2, const SunLight& sun);
+// What a surface reflects of `direct`, and of what its row brings of others' radiosity, by column; that is empty: nothing.
+LightValues reflectedLight(Vec3 albedo, float area_m2, const LightValues& direct, const ExchangeRow& row, std::span<const LightValues> radiosity);
+
+// How many times as many samples as `quanta` a row needs: 1 to formats::kMaxRowFactor. radiosity: of what the row's columns reflect, once light has bounced
+// twice.
+uint32_t rowFactor(const LightValues& direct, const ExchangeRow& row, uint32_t quanta, std::span<const LightValues> radiosity);
 
 }  // namespace ff::bake

@@ -2,14 +2,14 @@
 
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
-#include <zstd.h>
 
 #include <algorithm>
-#include <cstring>
+#include <atomic>
 #include <numeric>
 #include <optional>
 
 #include "bake/bake_code.h"
+#include "bake/packing.h"
 #include "formats/codec/bytes.h"
 
 namespace ff::bake {
@@ -19,47 +19,22 @@ using formats::ByteReader, formats::ByteWriter;
 using Raw = std::vector<std::byte>;
 
 constexpr std::string_view kRays = "rays", kContents = "contents";
-constexpr int kLevel = 1;  // of zstd
-constexpr uint64_t kMostBytes = uint64_t{1} << 32;  // of a decompressed part: no unit comes near it
 
-// LEB128.
-void putVarint(ByteWriter& out, uint64_t value) {
-  for (; value >= 0x80; value >>= 7) out.u8(static_cast<uint8_t>(value | 0x80));
-  out.u8(static_cast<uint8_t>(value));
-}
-
-uint64_t takeVarint(ByteReader& in) {
-  uint64_t value = 0;
-  for (int shift = 0; shift < 64; shift += 7) {
-    uint8_t byte = 0;
-    in.u8(byte);
-    value |= uint64_t{byte & 0x7fu} << shift;
-    if (!(byte & 0x80)) break;
-  }
-  return value;
-}
-
-// A part of a record: its size decompressed, its size, a zstd frame.
+// A part of a record: its size, that of its zstd frame, the frame. One that memory ran out for will not be read.
 void putPart(ByteWriter& out, const Raw& raw) {
-  Raw packed(ZSTD_compressBound(raw.size()));
-  const size_t size = ZSTD_compress(packed.data(), packed.size(), raw.data(), raw.size(), kLevel);
-  packed.resize(ZSTD_isError(size) ? 0 : size);  // out of memory: a record that will not be read
+  const Raw frame = packed(raw);
   out.u64(raw.size());
-  out.u64(packed.size());
-  out.data().insert(out.data().end(), packed.begin(), packed.end());
+  out.u64(frame.size());
+  out.data().insert(out.data().end(), frame.begin(), frame.end());
 }
 
 std::optional<Raw> takePart(ByteReader& in, std::span<const std::byte> record) {
-  uint64_t size = 0, packed = 0;
+  uint64_t size = 0, frame = 0;
   in.u64(size);
-  in.u64(packed);
+  in.u64(frame);
   const size_t at = in.position();
-  in.unused(packed);
-  if (!in.ok() || size > kMostBytes) return {};
-  Raw raw(size);
-  const size_t got = ZSTD_decompress(raw.data(), raw.size(), record.data() + at, packed);
-  if (ZSTD_isError(got) || got != size) return {};
-  return raw;
+  in.unused(frame);
+  return in.ok() ? unpacked(record.subspan(at, frame), size) : std::nullopt;
 }
 
 void putDigest(ByteWriter& out, const Digest& d) { out.u64(d[0]), out.u64(d[1]); }
@@ -152,21 +127,6 @@ bool isSeenStill(const Contents& contents, const Trail& trail) {
   return seenNow(contents, trail.cubes, trail.met) == trail.seen;
 }
 
-template <class T>
-void putValues(ByteWriter& out, const std::vector<T>& values) {
-  const auto bytes = std::as_bytes(std::span(values));
-  out.data().insert(out.data().end(), bytes.begin(), bytes.end());
-}
-
-template <class T>
-void takeValues(ByteReader& in, std::span<const std::byte> raw, size_t n, std::vector<T>& values) {
-  const size_t at = in.position();
-  in.unused(n * sizeof(T));
-  if (!in.ok()) return;
-  values.resize(n);
-  if (n > 0) std::memcpy(values.data(), raw.data() + at, n * sizeof(T));
-}
-
 }  // namespace
 
 RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache)
@@ -202,20 +162,7 @@ std::vector<std::byte> RayUnits::encode(const HitRows& rows, const RayTrail& tra
   for (const uint64_t key : met) ranges.push_back(contents_.rangeOf(key));
 
   ByteWriter raw, runs, index, counts;
-  raw.u32(static_cast<uint32_t>(n));
-  putValues(raw, rows.rays);
-  for (const auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) putValues(raw, *values);
-  putValues(raw, rows.square_error);
-  putValues(raw, rows.sky_fraction);
-  putValues(raw, rows.sky_means);
-  putValues(raw, rows.narrow);
-  for (const auto& lamps : rows.lamps) {
-    putVarint(raw, lamps.size());
-    for (const LampIrradiance& lamp : lamps) {
-      raw.u16(lamp.group);
-      for (const double x : lamp.rgb) raw.f64(x);
-    }
-  }
+  putSeen(raw, rows);
   for (size_t i = 0; i < n; ++i) {
     putVarint(runs, rows.start[i + 1] - rows.start[i]);
     size_t range = 0, last_range = 0;
@@ -250,30 +197,12 @@ std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte>
     part = std::move(*taken);
   }
   ByteReader raw(parts[0]), runs(parts[1]), index(parts[2]), counts(parts[3]);
-  uint32_t n = 0;
-  raw.u32(n);
-  if (n != patches) return {};
   HitRows rows;
-  takeValues(raw, parts[0], n, rows.rays);
-  for (auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) takeValues(raw, parts[0], n, *values);
-  takeValues(raw, parts[0], n, rows.square_error);
-  takeValues(raw, parts[0], n, rows.sky_fraction);
-  takeValues(raw, parts[0], n, rows.sky_means);
-  takeValues(raw, parts[0], n, rows.narrow);
-  rows.lamps.resize(n);
-  for (auto& lamps : rows.lamps) {
-    const uint64_t groups = takeVarint(raw);
-    for (uint64_t k = 0; k < groups && raw.ok(); ++k) {
-      LampIrradiance lamp;
-      raw.u16(lamp.group);
-      for (double& x : lamp.rgb) raw.f64(x);
-      lamps.push_back(lamp);
-    }
-  }
+  if (!takeSeen(raw, parts[0], rows) || rows.patches() != patches) return {};
   std::vector<std::pair<uint32_t, uint32_t>> ranges;
   for (const uint64_t key : trail.met) ranges.push_back(contents.rangeOf(key));
   rows.start.push_back(0);
-  for (uint32_t i = 0; i < n; ++i) {
+  for (size_t i = 0; i < patches; ++i) {
     const uint64_t entries = takeVarint(runs);
     for (uint64_t k = 0, range = 0; k < entries;) {
       range += takeVarint(runs);
@@ -316,26 +245,30 @@ UnitState RayUnits::load(size_t unit, HitRows* rows) const {
   return UnitState::kClean;
 }
 
-HitRows RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts) {
-  std::vector<HitRows> rows(units());
+void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take) {
   std::vector<UnitState> states(units());
+  std::atomic<uint64_t> clean_rays{0};
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
-    states[u] = load(u, &rows[u]);
-    if (states[u] == UnitState::kClean) done.add(start_[u + 1] - start_[u]);
+    HitRows rows;
+    states[u] = load(u, &rows);
+    if (states[u] != UnitState::kClean) return;
+    clean_rays += std::accumulate(rows.rays.begin(), rows.rays.end(), uint64_t{0});
+    take(start_[u], std::move(rows));
+    done.add(start_[u + 1] - start_[u]);
   });
   counts = countsOf(states);
-  for (const HitRows& of_unit : rows) counts.clean_rays = std::accumulate(of_unit.rays.begin(), of_unit.rays.end(), counts.clean_rays);
+  counts.clean_rays = clean_rays;
   const RowCaster casting(scene_, set_, caster, budget_, seed_);
   tbb::enumerable_thread_specific<RayTrail> trails([&] { return RayTrail(contents_.box()); });
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
     if (states[u] == UnitState::kClean) return;
     RayTrail& trail = trails.local();
     trail.clear();
-    rows[u] = casting.cast(start_[u], start_[u + 1], &trail, done);
-    cache_.store(kRays, keys_[u], encode(rows[u], trail));
+    HitRows rows = casting.cast(start_[u], start_[u + 1], &trail, done);
+    cache_.store(kRays, keys_[u], encode(rows, trail));
+    take(start_[u], std::move(rows));
   });
   cache_.store(kContents, settings_, contents_.encoded());
-  return joined(std::move(rows));
 }
 
 UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {

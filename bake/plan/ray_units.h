@@ -33,7 +33,7 @@ class RayUnits {
 
   // The same as castRows(), and what the cache had. Hits of units that it had are not cast; those of others are stored. Memory: a bit a cube of
   // Contents::box() for each thread, 16 bytes for each cube of it that holds anything, and castRows()'s.
-  HitRows cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts);
+  void cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take);
 
   // What cast() would find. changed: middles of the cubes whose contents have changed since cast() last came to its end with these settings, m.
   UnitCounts status(WorkCount& done, std::vector<Vec3>& changed);

@@ -35,6 +35,9 @@ Box boxOf(const Corners& corners) {
   return box;
 }
 
+// Not normalised.
+Vec3 normalOf(const Corners& corners) { return cross(corners[1] - corners[0], corners[2] - corners[0]); }
+
 Corners cornersOf(const Scene& scene, uint32_t triangle) {
   const auto& v = scene.triangles[triangle].v;
   return {scene.positions[v[0]], scene.positions[v[1]], scene.positions[v[2]]};
@@ -48,7 +51,6 @@ struct RayCaster::State {
   RTCScene embree = nullptr;
   std::vector<TriangleBlock> blocks;   // Embree's primitives
   std::vector<Corners> block_corners;  // kWide a block
-  std::vector<Vec3> normals;          // per scene triangle, not normalised
   std::vector<uint8_t> cutout;        // per scene triangle
   std::vector<float> offsets;         // per scene triangle, m
   Vec3 largest;                       // coordinates, m
@@ -62,10 +64,10 @@ struct RayCaster::State {
   void makeBlocks();
   void attachBlocks();
 
-  // Whether a ray in this direction is stopped where it meets a triangle; facing: by surfaces only that face it.
-  bool stops(uint32_t triangle, const TriangleHit& hit, Vec3 direction, bool facing) const {
+  // Whether a ray is stopped where it meets a triangle, on its front or back; facing: by surfaces only that face it.
+  bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing) const {
     if (cutout[triangle] && isHole(*scene, triangle, hit.b, hit.c)) return false;
-    if (!facing || dot(normals[triangle], direction) < 0) return true;
+    if (!facing || front) return true;
     return scene->backs != Backs::kReflect && scene->materials[scene->triangles[triangle].material].double_sided;
   }
 
@@ -88,6 +90,7 @@ struct RayCaster::State {
     BlockRay block_ray;
     bool facing;
     uint32_t triangle = kNone;
+    bool front = true;
     double from_m, to_m;
     double way_m;  // from the ray's origin to Embree's
 
@@ -130,8 +133,10 @@ struct RayCaster::State {
         const auto i = static_cast<size_t>(__builtin_ctz(in));
         const auto hit = meet(ray, corners[i], from_m);
         if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.triangle[i] > triangle)) continue;
-        if (!state->stops(block.triangle[i], *hit, ray.direction, facing)) continue;
+        const bool on_front = dot(normalOf(corners[i]), ray.direction) < 0;
+        if (!state->stops(block.triangle[i], *hit, on_front, facing)) continue;
         triangle = block.triangle[i];
+        front = on_front;
         to_m = hit->distance_m;
         any = true;
       }
@@ -139,7 +144,7 @@ struct RayCaster::State {
     }
 
     Hit hit() const {
-      return {triangle, dot(state->normals[triangle], ray.direction) < 0, ray.origin + ray.direction * static_cast<float>(to_m)};
+      return {triangle, front, ray.origin + ray.direction * static_cast<float>(to_m)};
     }
   };
 };
@@ -162,7 +167,7 @@ void RayCaster::State::makeBlocks() {
   args.maxBranchingFactor = 4;
   args.maxDepth = 1024;
   args.sahBlockSize = kWide;
-  args.maxLeafSize = kWide;
+  args.minLeafSize = args.maxLeafSize = kWide;
   args.bvh = bvh;
   args.primitives = primitives.data();
   args.primitiveCount = args.primitiveArrayCapacity = primitives.size();
@@ -228,9 +233,10 @@ Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
       [](void* user, RTCError, const char* text) { static_cast<State*>(user)->error = text ? text : "unknown"; },
       state.get());
   state->embree = rtcNewScene(state->device);
+  state->cutout.reserve(scene.triangles.size());
+  state->offsets.reserve(scene.triangles.size());
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto [a, b, c] = cornersOf(scene, t);
-    state->normals.push_back(cross(b - a, c - a));
     state->cutout.push_back(scene.materials[scene.triangles[t].material].cutout);
     state->offsets.push_back(3e-6f * largestCoordinate(scene, t));
     for (const Vec3 v : {a, b, c})
@@ -263,7 +269,7 @@ Hit RayCaster::nearest(const Ray& ray, float within_m) const {
   const auto [hit, distance_m] = hitWithin(0, within_m, scene.backs == Backs::kPass);
   // Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
   if (!hit.front && (scene.backs == Backs::kReflect || !scene.materials[scene.triangles[hit.triangle].material].double_sided)) {
-    const float steep = std::abs(dot(normalized(state_->normals[hit.triangle]), ray.direction));
+    const float steep = std::abs(dot(normalized(normalOf(cornersOf(scene, hit.triangle))), ray.direction));
     const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f);
     const Hit facing = hitWithin(std::max(0.0f, distance_m - reach), std::min(within_m, distance_m + reach), true).first;
     if (facing.triangle != kNone) return facing;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <span>
 
@@ -87,13 +88,15 @@ class PatchBuilder {
       }
     });
     set_.piece_start_.assign(n + 1, 0);
+    pieces_.reserve(std::accumulate(parts.begin(), parts.end(), size_t{0}, [](size_t sum, const auto& part) { return sum + part.size(); }));
     for (auto& part : parts) {
       for (Piece& p : part) {
         ++set_.piece_start_[p.triangle + 1];
         pieces_.push_back(std::move(p));
       }
-      part = {};
+      release(part);
     }
+    giveBackMemory();
     for (size_t t = 0; t < n; ++t) set_.piece_start_[t + 1] += set_.piece_start_[t];
     if (pieces_.empty())
       return Error{ErrorCode::kInvalidFile, scene_.name, "", "no surface with an area", "export the meshes' triangles"};
@@ -101,6 +104,7 @@ class PatchBuilder {
   }
 
   void makeSides() {
+    sides_.reserve(pieces_.size());
     for (uint32_t i = 0; i < pieces_.size(); ++i) {
       const int fineness = pieces_[i].fineness;
       const uint64_t key = hilbertKey(baseCell(pieces_[i].cell, fineness));
@@ -115,7 +119,13 @@ class PatchBuilder {
   }
 
   // Triangulates the pieces by patch and averages what a patch carries.
+  // A side of a piece, which belongs to a patch.
+  struct Part {
+    uint32_t patch, piece, back;
+  };
+
   void measure() {
+    giveBackMemory();
     set_.cell_m = settings_.cell_m;
     set_.patches.resize(labels_.home.size());
     for (size_t p = 0; p < set_.patches.size(); ++p) {
@@ -128,29 +138,31 @@ class PatchBuilder {
       set_.patches[p].lamp_group = side.lamp_group;
     }
     keepOutlines();
-    std::vector<uint32_t> order, start(set_.patches.size() + 1, 0);  // of sides by patch; into order
+    std::vector<Part> parts;
+    parts.reserve(sides_.size());
     for (uint32_t i = 0; i < sides_.size(); ++i) {
       const uint32_t patch = labels_.patch_of[i];
       set_.pieces_[sides_[i].piece].patch[sides_[i].back] = patch;
       if (patch == kSealed) {
         set_.sealed_m2 += length(vectorArea(pieces_[sides_[i].piece].polygon)) * static_cast<double>(settings_.cell_m) * static_cast<double>(settings_.cell_m);
-        continue;
+      } else {
+        parts.push_back({patch, sides_[i].piece, sides_[i].back});
       }
-      order.push_back(i);
-      ++start[patch + 1];
     }
-    std::stable_sort(order.begin(), order.end(),
-                     [&](uint32_t a, uint32_t b) { return labels_.patch_of[a] < labels_.patch_of[b]; });
+    release(sides_);
+    labels_ = {};
+    std::stable_sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) { return a.patch < b.patch; });
+    std::vector<uint32_t> start(set_.patches.size() + 1, 0);  // into parts, of each patch
+    for (const Part& part : parts) ++start[part.patch + 1];
     uint32_t triangles = 0;
     for (size_t p = 0; p < set_.patches.size(); ++p) {
       start[p + 1] += start[p];
       set_.patches[p].first_triangle = triangles;
-      for (uint32_t k = start[p]; k < start[p + 1]; ++k)
-        triangles += static_cast<uint32_t>(pieces_[sides_[order[k]].piece].polygon.size()) - 2;
+      for (uint32_t k = start[p]; k < start[p + 1]; ++k) triangles += static_cast<uint32_t>(pieces_[parts[k].piece].polygon.size()) - 2;
       set_.patches[p].triangles = triangles - set_.patches[p].first_triangle;
     }
     set_.triangles.resize(triangles);
-    tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, order, start); });
+    tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, std::span(parts).subspan(start[p], start[p + 1] - start[p])); });
     for (const Patch& p : set_.patches) set_.area_m2 += static_cast<double>(p.area_m2);
     keepSealed();
   }
@@ -220,7 +232,7 @@ class PatchBuilder {
     }
   }
 
-  void measurePatch(size_t p, const std::vector<uint32_t>& order, const std::vector<uint32_t>& start) {
+  void measurePatch(size_t p, std::span<const Part> parts) {
     Patch& patch = set_.patches[p];
     uint32_t at = patch.first_triangle;
     double area = 0, solid = 0;
@@ -228,10 +240,9 @@ class PatchBuilder {
     Point centre{0, 0, 0};
     Vec3 normal;
     const float s = settings_.cell_m;
-    for (uint32_t k = start[p]; k < start[p + 1]; ++k) {
-      const Side& side = sides_[order[k]];
-      const Piece& piece = pieces_[side.piece];
-      eachTriangle(piece, side.back, [&](Vec3 a, Vec3 b, Vec3 c) {
+    for (const Part& part : parts) {
+      const Piece& piece = pieces_[part.piece];
+      eachTriangle(piece, part.back, [&](Vec3 a, Vec3 b, Vec3 c) {
         PatchTriangle& t = set_.triangles[at++];
         t = {.a = a, .b = b, .c = c, .source = piece.triangle};
         const Vec3 n = cross(t.b - t.a, t.c - t.a) * 0.5f;

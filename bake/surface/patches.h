@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "bake/rays/ray_caster.h"
+#include "bake/release.h"
 #include "bake/scene.h"
 #include "bake/surface/components.h"
 #include "bake/surface/fineness.h"
@@ -68,6 +69,14 @@ class PatchSet {
     const uint32_t first = piece_start_[t], last = piece_start_[t + 1];
     if (last - first == 1) return pieces_[first].patch[front ? 0 : 1];
     return searchPatch(t, front, p);
+  }
+
+  // What patchAt() and eachPiece() need; once all rays are cast nobody does.
+  void forgetPieces() {
+    release(piece_start_);
+    release(fineness_);
+    release(pieces_);
+    release(rims_);
   }
 
   // f(triangle of the scene, box of the piece's cell in m, piece, its outline) for every piece, by triangle. Of a piece: cell, and patch[2], as

@@ -14,13 +14,12 @@ namespace ff::bake::test {
 namespace {
 
 // Node 0 faces 4000 others: the sky lights `bright` of them, evenly among the rest, and a lamp every `lit`th.
-class OneRow final : public ExchangeLevel {
+class OneRow {
  public:
   static constexpr uint32_t kOthers = 4000;
   OneRow(uint32_t bright, uint32_t lit) : bright_(bright), lit_(lit) {}
-  uint32_t nodes() const override { return kOthers + 1; }
-  float area(uint32_t) const override { return 1; }
-  void row(uint32_t node, ExchangeRow& out) const override {
+  uint32_t nodes() const { return kOthers + 1; }
+  void row(uint32_t node, ExchangeRow& out) const {
     out = {};
     if (node == 0) {
       for (uint32_t j = 1; j <= kOthers; ++j) {
@@ -34,17 +33,18 @@ class OneRow final : public ExchangeLevel {
     out.absorbed_m2 = 1 - out.sky_m2;
   }
   bool isBright(uint32_t node) const { return bright_ > 0 && node > 0 && node % (kOthers / bright_) == 0; }
-  std::vector<NodeValues> values() const {
-    NodeValues grey;
-    grey.node.albedo = {0.5f, 0.5f, 0.5f};
-    grey.node.area_m2 = 1;
-    return std::vector<NodeValues>(nodes(), grey);
-  }
   uint32_t factor(uint32_t quanta) const { return factor(quanta, std::vector<SunLight>(nodes())); }
   uint32_t factor(uint32_t quanta, const std::vector<SunLight>& sun) const {
-    ExchangeRow own;
-    row(0, own);
-    return RowSamples(*this, values(), sun).factor(0, own, quanta);
+    constexpr Vec3 kGrey{0.5f, 0.5f, 0.5f};
+    std::vector<ExchangeRow> rows(nodes());
+    std::vector<LightValues> direct(nodes()), once(nodes()), twice(nodes());
+    for (uint32_t i = 0; i < nodes(); ++i) {
+      row(i, rows[i]);
+      direct[i] = directLight(rows[i], 1, sun[i]);
+      once[i] = reflectedLight(kGrey, 1, direct[i], rows[i], {});
+    }
+    for (uint32_t i = 0; i < nodes(); ++i) twice[i] = reflectedLight(kGrey, 1, direct[i], rows[i], once);
+    return rowFactor(direct[0], rows[0], quanta, twice);
   }
   // With every 80th of the others in the sun of one side: they bring node 0 about kDayDark.
   uint32_t factorInStripes(uint32_t quanta) const {
@@ -141,21 +141,6 @@ TEST(SunOnPatches, TheBrightestDirectionalLightOfTheFileIsOneOfThem) {
                   {"sun", formats::Light::kDirectional, {3, 3, 3}, {}, {-1, 0, 0}, 0, 0, 0},
                   {"moon", formats::Light::kDirectional, {1, 1, 1}, {}, {0, -1, 0}, 0, 0, 0}};
   EXPECT_FLOAT_EQ(mostOnTheWall(), 3.5f);
-}
-
-TEST(RowSamples, ClustersGetTheMeansOfTheirChildren) {
-  const OneRow level(20, 0);
-  const std::vector<NodeValues> values = level.values();
-  const RowSamples patches(level, values, std::vector<SunLight>(level.nodes()));
-  std::vector<uint32_t> same(level.nodes()), one(level.nodes(), 0);
-  for (uint32_t i = 0; i < level.nodes(); ++i) same[i] = i;
-  ExchangeRow row;
-  level.row(0, row);
-  EXPECT_EQ(RowSamples(patches, values, same, level.nodes()).factor(0, row, 512), patches.factor(0, row, 512));
-  ExchangeRow whole;
-  whole.column = {0};
-  whole.area_m2 = {1};
-  EXPECT_EQ(RowSamples(patches, values, one, 1).factor(0, whole, 512), 1u);
 }
 
 }  // namespace

@@ -21,6 +21,13 @@ std::vector<float> areasOf(const CastScene& c) {
   return areas;
 }
 
+// Patches by their nodes of level 1.
+std::vector<std::vector<uint32_t>> childrenOf(const Hierarchy& h) {
+  std::vector<std::vector<uint32_t>> children(h.nodes[1]);
+  for (uint32_t i = 0; i < h.parents[0].size(); ++i) children[h.parents[0][i]].push_back(i);
+  return children;
+}
+
 TEST(Pool, ExchangeAreasAreSymmetricAndPoolAllHits) {
   const CastScene c = room();
   const auto n = static_cast<uint32_t>(c.set.patches.size());
@@ -81,7 +88,7 @@ TEST(RowSampling, CountsSumToQExactlyAndEachIsWithinOneOfItsExpectation) {
       row.sky_m2 = 0.001 * i;
       row.absorbed_m2 = i % 3 == 0 ? 0.002 : 0;
       const double offset = (i % 10) / 10.0;
-      sampleRow(row, pooled.area(i), q, offset, out);
+      sampleRow(row, c.set.patches[i].area_m2, q, offset, out);
       double sum = row.sky_m2 + row.absorbed_m2;
       for (double x : row.area_m2) sum += x;
       std::map<uint32_t, double> expected;
@@ -149,10 +156,10 @@ TEST(Pyramid, SiblingsShareCellAndOrientationAndLieInOneTile) {
     }
     for (const auto& of_parent : child_tiles) EXPECT_EQ(of_parent.size(), 1u) << "siblings are parted, or a parent has no child";
   }
-  const Children children(h.parents[0], h.nodes[1]);
+  const auto children = childrenOf(h);
   for (uint32_t n = 0; n < h.nodes[1]; ++n)
-    for (const uint32_t i : children.of(n)) {
-      const uint32_t first = patch_of[children.of(n)[0]];
+    for (const uint32_t i : children[n]) {
+      const uint32_t first = patch_of[children[n][0]];
       const Patch &a = c.set.patches[patch_of[i]], &b = c.set.patches[first];
       EXPECT_EQ(hilbertAncestor(a.key, 1), hilbertAncestor(b.key, 1));
       EXPECT_EQ(a.orientation, b.orientation);
@@ -289,9 +296,9 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   ASSERT_GE(h.levels(), 2u);
   std::vector<uint32_t> patch_of(sky.size());
   for (uint32_t p = 0; p < sky.size(); ++p) patch_of[h.number[p]] = p;
-  const Children children(h.parents[0], h.nodes[1]);
+  const auto children = childrenOf(h);
   for (uint32_t i = 0; i < sky.size(); ++i) {
-    const uint32_t a = patch_of[i], b = patch_of[children.of(h.parents[0][i])[0]];
+    const uint32_t a = patch_of[i], b = patch_of[children[h.parents[0][i]][0]];
     EXPECT_EQ(c.set.patches[a].lamp_group, c.set.patches[b].lamp_group);
     EXPECT_EQ(narrow[a], narrow[b]);
   }
@@ -331,37 +338,115 @@ TEST(FormFactor, WhatOfASheetIsInAClosedBoxTakesNoPart) {
   }
 }
 
+TEST(Pool, RowsDoNotDependOnBucketsNorOnTheOrderOfRanges) {
+  const CastScene c = room();
+  const auto n = static_cast<uint32_t>(c.set.patches.size());
+  const std::vector<float> areas = areasOf(c);
+  const PooledPatches whole(c.rows, areas);
+  std::vector<uint32_t> number(n);  // some other order of nodes
+  for (uint32_t p = 0; p < n; ++p) number[p] = (p * 7 + 3) % n;
+  ASSERT_NE(n % 7, 0u);
+  std::vector<double> density(n);
+  for (uint32_t p = 0; p < n; ++p) density[number[p]] = c.rows.rays[p] / static_cast<double>(areas[p]);
+  // Ranges of 50 patches, the last ones first.
+  Spill spill("/nowhere/spill", uint64_t{1} << 30);
+  HitPool pool(number, areas, density, {0, 1, n / 3, n - 2, n}, spill);
+  for (uint32_t first = (n - 1) / 50 * 50;; first -= 50) {
+    HitRows part;
+    const uint32_t end = std::min(n, first + 50);
+    const auto range = [&](const auto& values) { return std::remove_cvref_t<decltype(values)>(values.begin() + first, values.begin() + end); };
+    part.rays = range(c.rows.rays);
+    part.sky = range(c.rows.sky);
+    part.absorbed = range(c.rows.absorbed);
+    part.buried = range(c.rows.buried);
+    part.sky_fraction = range(c.rows.sky_fraction);
+    part.sky_means = range(c.rows.sky_means);
+    part.lamps = range(c.rows.lamps);
+    part.start = {0};
+    for (uint32_t p = first; p < end; ++p) {
+      for (uint64_t k = c.rows.start[p]; k < c.rows.start[p + 1]; ++k) {
+        part.column.push_back(c.rows.column[k]);
+        part.count.push_back(c.rows.count[k]);
+      }
+      part.start.push_back(part.column.size());
+    }
+    pool.add(first, part);
+    if (first == 0) break;
+  }
+  ExchangeRow row, same;
+  for (size_t b = 0; b < pool.buckets(); ++b) {
+    const PooledRows rows = pool.take(b);
+    for (uint32_t i = rows.first(); i < rows.end(); ++i) {
+      const auto p = static_cast<uint32_t>(std::find(number.begin(), number.end(), i) - number.begin());
+      rows.row(i, row);
+      whole.row(p, same);
+      std::map<uint32_t, double> expected;
+      for (size_t k = 0; k < same.column.size(); ++k) expected[number[same.column[k]]] = same.area_m2[k];
+      ASSERT_EQ(row.column.size(), expected.size());
+      EXPECT_TRUE(std::is_sorted(row.column.begin(), row.column.end()));
+      for (size_t k = 0; k < row.column.size(); ++k) EXPECT_EQ(row.area_m2[k], expected.at(row.column[k]));
+      EXPECT_EQ(row.sky_m2, same.sky_m2);
+      EXPECT_EQ(row.absorbed_m2, same.absorbed_m2);
+    }
+  }
+}
+
 TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
   const CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.05f, 64);
   const std::vector<float> sky(c.set.patches.size(), 0);
   const Hierarchy h = makeHierarchy(c.set.patches, sky);
   ASSERT_GE(h.levels(), 2u);
-  const auto values = patchValues(c.set.patches, h);
-  std::vector<float> areas;
-  for (const auto& v : values) areas.push_back(v.node.area_m2);
-  const PooledPatches level0(renumber(c.rows, h.number), areas);
-  const ClusterExchange level1(level0, h.parents[0], h.nodes[1]);
-  std::map<std::pair<uint32_t, uint32_t>, double> expected;
-  std::vector<double> area(h.nodes[1]);
-  ExchangeRow row;
-  for (uint32_t i = 0; i < level0.nodes(); ++i) {
-    area[h.parents[0][i]] += static_cast<double>(areas[i]);
-    level0.row(i, row);
-    for (size_t k = 0; k < row.column.size(); ++k)
-      expected[{h.parents[0][i], h.parents[0][row.column[k]]}] += row.area_m2[k];
+  const PooledPatches pooled(c.rows, areasOf(c));
+  std::vector<double> density(pooled.nodes());
+  std::vector<NodeRow> patches(pooled.nodes());  // by node
+  for (uint32_t p = 0; p < pooled.nodes(); ++p) {
+    NodeRow& row = patches[h.number[p]];
+    row.node.area_m2 = c.set.patches[p].area_m2;
+    density[h.number[p]] = c.rows.rays[p] / static_cast<double>(row.node.area_m2);
+    row.direct.fill(static_cast<float>(p));
+    ExchangeRow by_patch;
+    pooled.row(p, by_patch);
+    std::map<uint32_t, double> sorted;
+    for (size_t k = 0; k < by_patch.column.size(); ++k) sorted[h.number[by_patch.column[k]]] = by_patch.area_m2[k];
+    for (const auto& [j, area] : sorted) {
+      row.row.column.push_back(j);
+      row.row.area_m2.push_back(area);
+    }
   }
+  Spill spill("/nowhere/spill", uint64_t{1} << 30);
+  LevelRows level0(h.tile_start[0].size() - 1, density, spill), level1(h.tile_start[1].size() - 1, {}, spill);
+  for (uint32_t t = 0; t + 1 < h.tile_start[0].size(); ++t)
+    level0.put(t, h.tile_start[0][t], std::span(patches).subspan(h.tile_start[0][t], h.tile_start[0][t + 1] - h.tile_start[0][t]));
+  std::map<std::pair<uint32_t, uint32_t>, double> expected;
+  std::vector<double> area(h.nodes[1]), direct(h.nodes[1]), reflected(h.nodes[1]);
+  std::vector<LightValues> light(patches.size());
+  for (uint32_t i = 0; i < patches.size(); ++i) {
+    const uint32_t parent = h.parents[0][i];
+    const auto own = static_cast<double>(patches[i].node.area_m2);
+    light[i].fill(static_cast<float>(i));
+    area[parent] += own;
+    direct[parent] += own * static_cast<double>(patches[i].direct[0]);
+    reflected[parent] += own * i;
+    for (size_t k = 0; k < patches[i].row.column.size(); ++k) expected[{parent, h.parents[0][patches[i].row.column[k]]}] += patches[i].row.area_m2[k];
+  }
+  WorkCount done;
+  const std::vector<LightValues> clusters_light = gatherClusters(level0, light, h, 1, level1, done);
   size_t entries = 0;
-  for (uint32_t n = 0; n < level1.nodes(); ++n) {
-    EXPECT_NEAR(static_cast<double>(level1.area(n)), area[n], 1e-6 * area[n]);
-    level1.row(n, row);
-    entries += row.column.size();
-    for (size_t k = 0; k < row.column.size(); ++k)  // stored as float
-      EXPECT_NEAR(row.area_m2[k], expected.at({n, row.column[k]}), 1e-7 * expected.at({n, row.column[k]}));
+  double whole = 0;
+  for (uint32_t t = 0; t + 1 < h.tile_start[1].size(); ++t) {
+    const std::vector<NodeRow> rows = level1.get(t);
+    for (uint32_t n = h.tile_start[1][t]; n < h.tile_start[1][t + 1]; ++n) {
+      const NodeRow& row = rows[n - h.tile_start[1][t]];
+      EXPECT_NEAR(static_cast<double>(row.node.area_m2), area[n], 1e-6 * area[n]);
+      EXPECT_NEAR(static_cast<double>(row.direct[3]), direct[n] / area[n], 1e-5 * direct[n] / area[n]);
+      EXPECT_NEAR(static_cast<double>(clusters_light[n][3]), reflected[n] / area[n], 1e-5 * reflected[n] / area[n]);
+      whole += static_cast<double>(row.node.area_m2);
+      entries += row.row.column.size();
+      for (size_t k = 0; k < row.row.column.size(); ++k)  // stored as float
+        EXPECT_NEAR(row.row.area_m2[k], expected.at({n, row.row.column[k]}), 1e-7 * expected.at({n, row.row.column[k]}));
+    }
   }
   EXPECT_EQ(entries, expected.size());
-  const auto clusters = clusterValues(values, h, 1);
-  double whole = 0;
-  for (const auto& v : clusters) whole += static_cast<double>(v.node.area_m2);
   EXPECT_NEAR(whole, 6.0, 1e-4);
 }
 

@@ -65,8 +65,10 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
              s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
   fmt::print("  {} rays a patch (at least {}), which leave an error of {:.2g} % in the light that a patch gets (two standard deviations)\n", s.mean_rays, s.fewest_rays,
              static_cast<double>(s.row_error) * 100);
-  fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake; {:.2g} GB of memory at most\n", s.seconds,
+  fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake; {:.2g} GB of memory at most", s.seconds,
              static_cast<double>(s.cast_rays) * 1e-6 / s.seconds, static_cast<double>(peakBytes()) * 1e-9);
+  if (s.spilled_bytes > 0) fmt::print(", and {:.2g} GB in files that are gone again", static_cast<double>(s.spilled_bytes) * 1e-9);
+  fmt::print("\n");
   fmt::print("  seconds:");
   for (const auto& [phase, seconds] : phases) fmt::print(" {} {:.1f}", phase, seconds);
   fmt::print("\n");
@@ -84,6 +86,7 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
   for (const auto& [phase, seconds] : phases) seconds_by_phase[phase] = seconds;
   return {{"cell_m", s.cell_m},       {"triangles", s.triangles},
           {"area_m2", s.area_m2},     {"rays", s.rays}, {"rays_cast", s.cast_rays}, {"fewest_rays", s.fewest_rays}, {"row_error", s.row_error},
+          {"spilled_bytes", s.spilled_bytes},
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},

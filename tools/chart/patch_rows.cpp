@@ -16,7 +16,8 @@ using namespace bake;
 PatchRows pooledRows(const PatchSet& set, HitRows hits, uint32_t quanta) {
   std::vector<float> areas;
   for (const Patch& p : set.patches) areas.push_back(p.area_m2);
-  const PooledPatches pooled(std::move(hits), areas);
+  const PooledPatches pooled(hits, areas);
+  hits = {};
   PatchRows rows;
   ExchangeRow row;
   SampledRow sampled;

@@ -58,12 +58,12 @@ Cast castBoth(const Scene& scene, float cell_m, BakeCache& cache, const std::str
   RayUnits units(scene, *set, budget, 1, cache);
   std::vector<Vec3> changed;
   const UnitCounts before = units.status(done, changed);
-  cast.rows = units.cast(*caster, done, cast.counts);
+  cast.rows = gathered([&](const TakeRows& take) { units.cast(*caster, done, cast.counts, take); });
   EXPECT_EQ(before.clean, cast.counts.clean);
   EXPECT_EQ(before.stale, cast.counts.stale);
   EXPECT_TRUE(equal(cast.rows, castRows(scene, *set, *caster, budget, 1, done))) << what;
   UnitCounts again;
-  EXPECT_TRUE(equal(cast.rows, units.cast(*caster, done, again))) << what << ", again";
+  EXPECT_TRUE(equal(cast.rows, gathered([&](const TakeRows& take) { units.cast(*caster, done, again, take); }))) << what << ", again";
   EXPECT_EQ(again.clean, again.units()) << what;
   return cast;
 }

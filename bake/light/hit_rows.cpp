@@ -1,0 +1,124 @@
+#include "bake/light/hit_rows.h"
+
+#include <iterator>
+#include <utility>
+
+#include "bake/packing.h"
+#include "bake/release.h"
+
+namespace ff::bake {
+
+HitRows joined(std::vector<HitRows> ranges) {
+  size_t n = 0, entries = 0;
+  for (const HitRows& r : ranges) {
+    n += r.rays.size();
+    entries += r.column.size();
+  }
+  HitRows all;
+  const auto join = [&](auto member, size_t size) {
+    auto& to = all.*member;
+    to.reserve(size);
+    for (HitRows& r : ranges) {
+      auto& from = r.*member;
+      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
+      release(from);
+    }
+  };
+  all.start.reserve(n + 1);
+  all.start.push_back(0);
+  for (HitRows& r : ranges) {
+    const uint64_t before = all.start.back();
+    for (size_t i = 1; i < r.start.size(); ++i) all.start.push_back(before + r.start[i]);
+  }
+  join(&HitRows::column, entries);
+  join(&HitRows::count, entries);
+  for (const auto member : {&HitRows::rays, &HitRows::sky, &HitRows::absorbed, &HitRows::buried}) join(member, n);
+  join(&HitRows::square_error, n);
+  join(&HitRows::sky_fraction, n);
+  join(&HitRows::sky_means, n);
+  join(&HitRows::lamps, n);
+  join(&HitRows::narrow, n);
+  return all;
+}
+
+void putSeen(formats::ByteWriter& out, const HitRows& rows) {
+  out.u32(static_cast<uint32_t>(rows.patches()));
+  putValues(out, rows.rays);
+  for (const auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) putValues(out, *values);
+  putValues(out, rows.square_error);
+  putValues(out, rows.sky_fraction);
+  putValues(out, rows.sky_means);
+  putValues(out, rows.narrow);
+  for (const auto& lamps : rows.lamps) {
+    putVarint(out, lamps.size());
+    for (const LampIrradiance& lamp : lamps) {
+      out.u16(lamp.group);
+      for (const double x : lamp.rgb) out.f64(x);
+    }
+  }
+}
+
+bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& rows) {
+  uint32_t n = 0;
+  in.u32(n);
+  takeValues(in, raw, n, rows.rays);
+  for (auto* values : {&rows.sky, &rows.absorbed, &rows.buried}) takeValues(in, raw, n, *values);
+  takeValues(in, raw, n, rows.square_error);
+  takeValues(in, raw, n, rows.sky_fraction);
+  takeValues(in, raw, n, rows.sky_means);
+  takeValues(in, raw, n, rows.narrow);
+  if (!in.ok()) return false;
+  rows.lamps.resize(n);
+  for (auto& lamps : rows.lamps) {
+    const uint64_t groups = takeVarint(in);
+    for (uint64_t k = 0; k < groups && in.ok(); ++k) {
+      LampIrradiance lamp;
+      in.u16(lamp.group);
+      for (double& x : lamp.rgb) in.f64(x);
+      lamps.push_back(lamp);
+    }
+  }
+  return in.ok();
+}
+
+std::vector<std::byte> encoded(const HitRows& rows) {
+  formats::ByteWriter out;
+  putSeen(out, rows);
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    putVarint(out, rows.start[i + 1] - rows.start[i]);
+    uint32_t last = 0;
+    for (uint64_t k = rows.start[i]; k < rows.start[i + 1]; last = rows.column[k++]) {
+      putVarint(out, rows.column[k] - last);
+      putVarint(out, rows.count[k]);
+    }
+  }
+  return std::move(out.data());
+}
+
+HitRows decodedHits(std::span<const std::byte> bytes) {
+  formats::ByteReader in(bytes);
+  HitRows rows;
+  takeSeen(in, bytes, rows);
+  rows.start.push_back(0);
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    uint32_t last = 0;
+    for (uint64_t left = takeVarint(in); left > 0; --left) {
+      rows.column.push_back(last += static_cast<uint32_t>(takeVarint(in)));
+      rows.count.push_back(static_cast<uint16_t>(takeVarint(in)));
+    }
+    rows.start.push_back(rows.column.size());
+  }
+  return rows;
+}
+
+PatchSight sightOf(const HitRows& rows, size_t patch) {
+  return {.rays = static_cast<uint16_t>(rows.rays[patch]),
+          .absorbed = static_cast<uint16_t>(rows.absorbed[patch]),
+          .buried = static_cast<uint16_t>(rows.buried[patch]),
+          .narrow = rows.narrow[patch],
+          .lamp_lit = !rows.lamps[patch].empty(),
+          .sky_fraction = rows.sky_fraction[patch],
+          .square_error = rows.square_error[patch]};
+}
+
+}  // namespace ff::bake

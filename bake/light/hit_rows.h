@@ -1,0 +1,62 @@
+// Where patches' rays ended: what casting makes and pooling takes.
+#pragma once
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "bake/light/lamp_light.h"
+#include "bake/light/sky_light.h"
+#include "formats/codec/bytes.h"
+
+namespace ff::bake {
+
+// Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to their `rays`.
+struct HitRows {
+  std::vector<uint32_t> rays;      // per patch
+  std::vector<uint64_t> start;     // patches + 1
+  std::vector<uint32_t> column;
+  std::vector<uint16_t> count;
+  std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
+  std::vector<float> square_error;       // per patch: RowError::square()
+  std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
+  std::vector<SkyMeans> sky_means;       // per patch
+  std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
+  std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to
+
+  size_t patches() const { return rays.size(); }
+};
+
+// Of the patch's area. A patch that is all buried keeps a token share: it has a row (all absorbed), and nothing sees it.
+inline float exposedFraction(uint32_t buried, uint32_t rays) {
+  return std::max(1e-6f, 1 - static_cast<float>(buried) / static_cast<float>(rays));
+}
+
+inline float exposedFraction(const HitRows& rows, size_t patch) { return exposedFraction(rows.buried[patch], rows.rays[patch]); }
+
+// Rows of ranges that follow each other as those of one.
+HitRows joined(std::vector<HitRows> ranges);
+
+// All but where rays hit (start, column and count).
+void putSeen(formats::ByteWriter& out, const HitRows& rows);
+// raw: what `in` reads. False where it is not what putSeen() writes.
+bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& rows);
+
+// All of it, and back.
+std::vector<std::byte> encoded(const HitRows& rows);
+HitRows decodedHits(std::span<const std::byte> bytes);
+
+// By patch, once its hits are put aside.
+struct PatchSight {
+  uint16_t rays = 0, absorbed = 0, buried = 0;
+  uint8_t narrow = 0;       // HitRows::narrow
+  bool lamp_lit = false;    // some lamp's light arrives directly
+  float sky_fraction = 0, square_error = 0;
+
+  float exposed() const { return exposedFraction(buried, rays); }
+};
+PatchSight sightOf(const HitRows& rows, size_t patch);
+
+}  // namespace ff::bake
