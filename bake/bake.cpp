@@ -408,7 +408,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
     const TakeRows take = [&](uint32_t first, HitRows rows) { hits.put(first, rows); };
-    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units, take);
+    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units, take, settings.ranks);
     else castRows(scene, set, caster, budget, settings.seed, report.count, take);
   }
   const std::vector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
@@ -569,6 +569,15 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   return stats;
 }
 
+Result<void> help(const Scene& whole, const BakeSettings& settings) {
+  tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
+  const auto surface = makeSurface(whole, settings, {}, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
+  if (!surface) return surface.error();
+  WorkCount done(0, settings.stop);
+  RayUnits((*surface)->scene, (*surface)->set, budgetOf(settings), settings.seed, *settings.cache).help(*(*surface)->caster, done, *settings.ranks);
+  return {};
+}
+
 Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, const Progress& progress) {
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
   const auto surface = makeSurface(whole, settings, progress, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
@@ -604,6 +613,10 @@ auto caught(const Scene& scene, F f) -> decltype(f()) {
 
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
   return caught(whole, [&] { return bake(whole, settings, path, progress); });
+}
+
+Result<void> helpBake(const Scene& whole, const BakeSettings& settings) {
+  return caught(whole, [&] { return help(whole, settings); });
 }
 
 Result<BakeStatus> bakeStatus(const Scene& whole, const BakeSettings& settings, const Progress& progress) {

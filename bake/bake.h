@@ -43,6 +43,7 @@ struct BakeSettings {
                                   // need more all the same is refused; 0: what the machine has free
   std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
   BakeCache* cache = nullptr;      // what was done before is taken from it, what is done is kept there; null: neither
+  Ranks* ranks = nullptr;          // other processes that help, with a cache that all of them see; null: none
   const std::atomic<bool>* stop = nullptr;  // once it is true, the bake ends within a second, with an error of cause kStopped
   bool geometry = true;           // write drawing geometry
   std::string vdb_path{};          // where to write the world's cells as OpenVDB grids (world_grids.h); empty: nowhere
@@ -78,6 +79,10 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& settings
 // without surface), kIo (files; memory or threads ran out; stopped). Never throws. Nothing is left behind on an error.
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path,
                             const Progress& progress = {});  // phases: "patches", "rays", "pyramid", "strips", "geometry"
+
+// On another rank than 0 of settings.ranks: casts rays for the bake of rank 0, which is of the same scene with the same settings, until there are no more.
+// Errors as of bakeWorld().
+Result<void> helpBake(const Scene& whole, const BakeSettings& settings);
 
 // What a bake would find in settings.cache, which must not be null.
 struct BakeStatus {

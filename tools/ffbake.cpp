@@ -19,6 +19,7 @@
 #include "bake/plan/cache.h"
 #include "formats/storage/storage.h"
 #include "formats/version.h"
+#include "tools/bake/mpi_ranks.h"
 #include "tools/bake/progress.h"
 #include "tools/bake/stop_signals.h"
 #include "tools/bake/summary.h"
@@ -172,8 +173,18 @@ int run(int argc, char** argv) {
 
   std::signal(SIGPIPE, SIG_IGN);  // a reader of stderr that is gone is no reason to end; one of stdout is an error at the end
   tools::StopSignals signals("ffbake");
+  auto joined = tools::MpiRanks::join();
+  if (!joined) return fail(joined.error());
+  const std::unique_ptr<tools::MpiRanks> ranks = std::move(*joined);
+  const bool helps = ranks && ranks->rank() > 0;
+  const auto leave = [&](int code) {
+    if (ranks) ranks->leave(code);
+    return code;
+  };
+  if (ranks && (no_cache || status))
+    return leave(fail({ErrorCode::kUsage, no_cache ? "--no-cache" : "--status", "", "is for one process", "start it without mpirun"}));
   using Style = tools::ProgressPrinter::Style;
-  tools::ProgressPrinter printer(json_progress ? Style::kJson : quiet ? Style::kQuiet : Style::kBar);
+  tools::ProgressPrinter printer(helps ? Style::kQuiet : json_progress ? Style::kJson : quiet ? Style::kQuiet : Style::kBar);
   import.progress = [&, last = Clock::time_point{}](uint64_t done, uint64_t total) mutable {
     if (done < total && Clock::now() - last < std::chrono::milliseconds(100)) return;
     last = Clock::now();
@@ -181,8 +192,9 @@ int run(int argc, char** argv) {
   };
   auto scene = bake::importFiles(*files, import);
   printer.endLine();
-  if (!scene) return fail(scene.error());
-  for (const std::string& warning : scene->warnings) say("ffbake: warning: " + warning);
+  if (!scene) return leave(fail(scene.error()));
+  if (!helps)
+    for (const std::string& warning : scene->warnings) say("ffbake: warning: " + warning);
   settings.announce = [&](const bake::BakeEstimate& e) {
     if (!quiet && !json_progress)
       say(fmt::format("estimate  about {:.2g} patches of {:.3g} m: {:.2g} GB of memory, {:.2g} GB on disk, {:.0f} min", e.patches, e.cell_m,
@@ -190,16 +202,21 @@ int run(int argc, char** argv) {
   };
   std::unique_ptr<bake::BakeCache> cache;
   if (!no_cache) {
-    auto opened = bake::BakeCache::open(cache_folder, cache_limit);
-    if (!opened) return fail(opened.error());
+    auto opened = bake::BakeCache::open(cache_folder, helps ? ~uint64_t{0} : cache_limit);  // rank 0 keeps to the limit
+    if (!opened) return leave(fail(opened.error()));
     cache = std::move(*opened);
     settings.cache = cache.get();
   }
   settings.stop = signals.flag();
-  signals.beginWork(cache ? "stopped; the same command goes on from here (what was done is in " + cache_folder + ")"
+  signals.beginWork(helps ? "" : cache ? "stopped; the same command goes on from here (what was done is in " + cache_folder + ")"
                           : "stopped; without a cache the next bake begins anew");
   const bake::Progress progress = [&](const char* phase, uint64_t done, uint64_t total) { printer(phase, done, total); };
   const auto failed = [&](const Error& error) { return error.cause == ErrorCause::kStopped ? signals.stopped() : fail(error); };
+  settings.ranks = ranks.get();
+  if (helps) {
+    const auto helped = bake::helpBake(*scene, settings);
+    return leave(helped ? 0 : failed(helped.error()));
+  }
   if (status) {
     const auto found = bake::bakeStatus(*scene, settings, progress);
     printer.endLine();
@@ -210,12 +227,12 @@ int run(int argc, char** argv) {
   }
   auto stats = bake::bakeWorld(*scene, settings, out, progress);
   printer.endLine();
-  if (!stats) return failed(stats.error());
+  if (!stats) return leave(failed(stats.error()));
   for (const std::string& warning : stats->warnings) say("ffbake: warning: " + warning);
   const uint64_t cache_bytes = cache ? cache->bytes() : 0;
   if (json) fmt::print("{}\n", tools::toJson(*stats, printer.phases(), cache_bytes).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
   else tools::printSummary(*stats, out, printer.phases(), cache_bytes);
-  return 0;
+  return leave(0);
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstring>
 #include <filesystem>
 #include <system_error>
@@ -11,8 +12,9 @@
 namespace ff::bake {
 namespace {
 
-// NAME.ffu, "rays-0123456789abcdef0123456789abcdef.ffu"; while it is written NAME.ffu.PID-NUMBER.tmp. Nothing else in the folder is ours.
+// NAME.ffu, "rays-0123456789abcdef0123456789abcdef.ffu"; while it is written NAME.ffu.PID-NUMBER@HOST.tmp. Nothing else in the folder is ours.
 constexpr std::string_view kEnding = ".ffu", kHalfEnding = ".tmp";
+constexpr auto kSurelyOver = std::chrono::hours(24);  // for what another machine writes
 
 // Before the result: a mark and a version, then the digest of the result and the key.
 constexpr std::array<char, 8> kMark = {'F', 'F', 'U', 'N', 'I', 'T', '0', '1'};
@@ -31,8 +33,24 @@ std::string nameOf(std::string_view kind, const Digest& key) {
 bool isUnit(std::string_view name) { return name.ends_with(kEnding); }
 bool isHalf(std::string_view name) { return name.ends_with(kHalfEnding) && name.find(".ffu.") != std::string_view::npos; }
 
-// Of the process that writes a half-written file; 0: the name does not tell.
-long writerOf(const std::string& name) { return std::atol(name.c_str() + name.find(".ffu.") + 5); }
+// "@HOST.tmp" of this machine.
+std::string ownEnding() {
+  std::array<char, 256> host{};
+  (void)gethostname(host.data(), host.size() - 1);
+  std::replace(host.begin(), host.end(), '/', '_');
+  std::string ending("@");
+  ending.append(host.data()).append(kHalfEnding);
+  return ending;
+}
+
+// Whether nobody writes a half-written file any more.
+bool isAbandoned(const std::string& folder, const std::string& name) {
+  std::error_code unknown;
+  if (name.ends_with(ownEnding()))
+    return !std::filesystem::exists("/proc/" + std::to_string(std::atol(name.c_str() + name.find(".ffu.") + 5)), unknown);
+  const auto written = std::filesystem::last_write_time(folder + name, unknown);
+  return !unknown && written + kSurelyOver < std::filesystem::file_time_type::clock::now();
+}
 
 uint64_t sizeOf(const std::string& path) {
   std::error_code error;
@@ -59,8 +77,7 @@ Result<std::unique_ptr<BakeCache>> BakeCache::open(const std::string& folder, ui
   if (!names) return names.error();
   for (const std::string& name : *names) {
     if (isUnit(name)) cache->bytes_ += sizeOf(cache->folder_ + name);
-    const bool alive = isHalf(name) && std::filesystem::exists("/proc/" + std::to_string(writerOf(name)));
-    if (isHalf(name) && !alive) (void)cache->storage_->remove(cache->folder_ + name);
+    if (isHalf(name) && isAbandoned(cache->folder_, name)) (void)cache->storage_->remove(cache->folder_ + name);
   }
   return cache;
 }
@@ -93,7 +110,7 @@ std::optional<std::vector<std::byte>> BakeCache::load(std::string_view kind, con
 void BakeCache::store(std::string_view kind, const Digest& key, std::span<const std::byte> bytes) {
   if (broken_) return;
   const std::string name = nameOf(kind, key);
-  const std::string half = folder_ + name + "." + std::to_string(getpid()) + "-" + std::to_string(temporaries_++) + std::string(kHalfEnding);
+  const std::string half = folder_ + name + "." + std::to_string(getpid()) + "-" + std::to_string(temporaries_++) + ownEnding();
   const Head head{kMark, key, digestOf(bytes)};
   const auto write = [&]() -> Result<void> {
     auto file = storage_->create(half);
@@ -123,15 +140,18 @@ void BakeCache::store(std::string_view kind, const Digest& key, std::span<const 
 
 void BakeCache::trim(uint64_t room_bytes) {
   const std::lock_guard lock(mutex_);
-  if (bytes_ + room_bytes <= limit_bytes_) return;
   const auto names = storage_->list(folder_);
   if (!names) return;
+  uint64_t bytes = 0;  // other processes store as well
+  for (const std::string& name : *names)
+    if (isUnit(name)) bytes += sizeOf(folder_ + name);
   for (const std::string& name : *names) {
-    if (bytes_ + room_bytes <= limit_bytes_) return;
+    if (bytes + room_bytes <= limit_bytes_) break;
     if (!isUnit(name) || used_.contains(name)) continue;
     const uint64_t size = sizeOf(folder_ + name);
-    if (storage_->remove(folder_ + name)) bytes_ -= size;
+    if (storage_->remove(folder_ + name)) bytes -= size;
   }
+  bytes_ = bytes;
 }
 
 Result<uint64_t> BakeCache::clean(const std::string& folder, formats::StoragePtr storage) {

@@ -34,7 +34,7 @@ class BakeCache {
   // In one step: another bake sees all of it or nothing. Survives a kill; a power cut may lose it. Trims where the limit asks for it; where that is not
   // enough, nothing is stored any more.
   void store(std::string_view kind, const Digest& key, std::span<const std::byte> bytes);
-  // Removes files that this bake has neither loaded nor stored so far, until the rest and room_bytes more are within the limit.
+  // Removes files that this bake has neither loaded nor stored so far, until the rest and room_bytes more are within the limit. Counts what others stored.
   void trim(uint64_t room_bytes = 0);
   // Removes all files; returns how many bytes.
   static Result<uint64_t> clean(const std::string& folder, formats::StoragePtr storage = formats::posixStorage());

@@ -2,11 +2,15 @@
 
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <atomic>
+#include <memory>
+#include <mutex>
 #include <numeric>
 #include <optional>
+#include <set>
 
 #include "bake/bake_code.h"
 #include "bake/packing.h"
@@ -245,7 +249,76 @@ UnitState RayUnits::load(size_t unit, HitRows* rows) const {
   return UnitState::kClean;
 }
 
-void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take) {
+// Casts units and keeps their hits in the cache.
+class RayUnits::Casting {
+ public:
+  Casting(const RayUnits& units, const RayCaster& caster)
+      : units_(units), caster_(units.scene_, units.set_, caster, units.budget_, units.seed_), trails_([&] { return RayTrail(units.contents_.box()); }) {}
+
+  HitRows cast(size_t unit, WorkCount& done) {
+    RayTrail& trail = trails_.local();
+    trail.clear();
+    HitRows rows = caster_.cast(units_.start_[unit], units_.start_[unit + 1], &trail, done);
+    units_.cache_.store(kRays, units_.keys_[unit], units_.encode(rows, trail));
+    return rows;
+  }
+
+ private:
+  const RayUnits& units_;
+  const RowCaster caster_;
+  tbb::enumerable_thread_specific<RayTrail> trails_;
+};
+
+namespace {
+
+// Who casts which unit. Thread-safe.
+class Handout {
+ public:
+  explicit Handout(std::vector<uint32_t> units) : units_(std::move(units)) {}
+
+  // For this rank: what another has done comes first, then what nobody has begun; in the end what others have begun is cast here as well, lest they
+  // be gone.
+  struct Work {
+    uint32_t unit = kNoUnit;
+    bool in_cache = false;
+  };
+  Work own() {
+    const std::lock_guard lock(mutex_);
+    if (!done_.empty()) return {takeFirst(done_), true};
+    if (next_ < units_.size()) return {units_[next_++], false};
+    return {begun_.empty() ? kNoUnit : takeFirst(begun_), false};
+  }
+  // For another.
+  uint32_t others() {
+    const std::lock_guard lock(mutex_);
+    if (next_ == units_.size()) return kNoUnit;
+    begun_.insert(units_[next_]);
+    return units_[next_++];
+  }
+  // It is in the cache. Too late where it is cast here already.
+  void isDone(uint32_t unit) {
+    const std::lock_guard lock(mutex_);
+    if (begun_.erase(unit)) done_.insert(unit);
+  }
+
+ private:
+  static uint32_t takeFirst(std::set<uint32_t>& units) { return units.extract(units.begin()).value(); }
+
+  const std::vector<uint32_t> units_;
+  std::mutex mutex_;
+  size_t next_ = 0;
+  std::set<uint32_t> begun_, done_;  // by others
+};
+
+// On each of TBB's threads.
+template <class F>
+void onAllThreads(F f) {
+  tbb::parallel_for(0, tbb::this_task_arena::max_concurrency(), [&](int) { f(); }, tbb::simple_partitioner());
+}
+
+}  // namespace
+
+void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take, Ranks* ranks) {
   std::vector<UnitState> states(units());
   std::atomic<uint64_t> clean_rays{0};
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
@@ -258,17 +331,36 @@ void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts
   });
   counts = countsOf(states);
   counts.clean_rays = clean_rays;
-  const RowCaster casting(scene_, set_, caster, budget_, seed_);
-  tbb::enumerable_thread_specific<RayTrail> trails([&] { return RayTrail(contents_.box()); });
-  tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
-    if (states[u] == UnitState::kClean) return;
-    RayTrail& trail = trails.local();
-    trail.clear();
-    HitRows rows = casting.cast(start_[u], start_[u + 1], &trail, done);
-    cache_.store(kRays, keys_[u], encode(rows, trail));
-    take(start_[u], std::move(rows));
+  std::vector<uint32_t> missing;
+  for (uint32_t u = 0; u < units(); ++u)
+    if (states[u] != UnitState::kClean) missing.push_back(u);
+  Handout handout(std::move(missing));
+  if (ranks) ranks->serve([&] { return handout.others(); }, [&](uint32_t unit) { handout.isDone(unit); });
+  const auto ended = [](Ranks* r) { if (r) r->endUnits(); };
+  const std::unique_ptr<Ranks, decltype(ended)> end(ranks, ended);  // before the handout goes
+  Casting casting(*this, caster);
+  std::atomic<uint64_t> by_others{0};
+  onAllThreads([&] {
+    for (Handout::Work work = handout.own(); work.unit != kNoUnit; work = handout.own()) {
+      HitRows rows;
+      if (work.in_cache && load(work.unit, &rows) == UnitState::kClean) {
+        ++by_others;
+        done.add(start_[work.unit + 1] - start_[work.unit]);
+      } else {
+        rows = casting.cast(work.unit, done);
+      }
+      take(start_[work.unit], std::move(rows));
+    }
   });
+  counts.by_others = by_others;
   cache_.store(kContents, settings_, contents_.encoded());
+}
+
+void RayUnits::help(const RayCaster& caster, WorkCount& done, Ranks& ranks) {
+  Casting casting(*this, caster);
+  onAllThreads([&] {
+    for (uint32_t unit = ranks.ask(kNoUnit); unit < units(); unit = ranks.ask(unit)) casting.cast(unit, done);
+  });
 }
 
 UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {

@@ -10,6 +10,7 @@
 #include "bake/light/form_factor.h"
 #include "bake/plan/cache.h"
 #include "bake/plan/contents.h"
+#include "bake/plan/ranks.h"
 
 namespace ff::bake {
 
@@ -23,6 +24,7 @@ enum class UnitState : uint8_t {
 struct UnitCounts {
   uint64_t clean = 0, stale = 0, missing = 0;
   uint64_t clean_rays = 0;  // of clean units
+  uint64_t by_others = 0;   // of those that were not clean: cast by other ranks
   uint64_t units() const { return clean + stale + missing; }
 };
 
@@ -33,7 +35,11 @@ class RayUnits {
 
   // The same as castRows(), and what the cache had. Hits of units that it had are not cast; those of others are stored. Memory: a bit a cube of
   // Contents::box() for each thread, 16 bytes for each cube of it that holds anything, and castRows()'s.
-  void cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take);
+  // ranks: others that help, or null.
+  void cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take, Ranks* ranks = nullptr);
+
+  // On the other ranks: casts units that rank 0's cast() gives, into the cache, until there are no more.
+  void help(const RayCaster& caster, WorkCount& done, Ranks& ranks);
 
   // What cast() would find. changed: middles of the cubes whose contents have changed since cast() last came to its end with these settings, m.
   UnitCounts status(WorkCount& done, std::vector<Vec3>& changed);
@@ -42,6 +48,7 @@ class RayUnits {
   size_t units() const { return start_.size() - 1; }
   UnitState load(size_t unit, HitRows* rows) const;  // rows: null: only the state is asked for
   std::vector<std::byte> encode(const HitRows& rows, const RayTrail& trail) const;
+  class Casting;
 
   const Scene& scene_;
   const PatchSet& set_;

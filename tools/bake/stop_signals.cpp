@@ -43,7 +43,7 @@ void StopSignals::beginWork(std::string line) {
 }
 
 int StopSignals::stopped() {
-  std::fprintf(stderr, "%s: %s\n", name_.c_str(), line_.c_str());
+  if (!line_.empty()) std::fprintf(stderr, "%s: %s\n", name_.c_str(), line_.c_str());
   return 128 + signal_;
 }
 

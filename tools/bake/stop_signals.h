@@ -16,7 +16,7 @@ class StopSignals {
   explicit StopSignals(std::string name);
   ~StopSignals();
 
-  // Work that looks at flag() has begun: it gets kPatience to end. line: what is said of it. Before that there is nothing to end.
+  // Work that looks at flag() has begun: it gets kPatience to end. line: what is said of it; empty: nothing. Before that there is nothing to end.
   void beginWork(std::string line);
   const std::atomic<bool>* flag() const { return &stop_; }
   // Says the line; the exit code of a program that was stopped.

@@ -39,7 +39,7 @@ nlohmann::json toJson(const std::vector<bake::NotModelled>& lines) {
 }
 
 nlohmann::json toJson(const bake::UnitCounts& units) {
-  return {{"clean", units.clean}, {"stale", units.stale}, {"missing", units.missing}};
+  return {{"clean", units.clean}, {"stale", units.stale}, {"missing", units.missing}, {"by_other_ranks", units.by_others}};
 }
 
 }  // namespace
@@ -75,6 +75,7 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
   if (cache_bytes > 0) {
     fmt::print("  {} of {} units of rays were in the cache, which holds {:.1f} MB now\n", s.ray_units.clean, s.ray_units.units(),
                static_cast<double>(cache_bytes) * 1e-6);
+    if (s.ray_units.by_others > 0) fmt::print("  {} were cast by other ranks\n", s.ray_units.by_others);
   }
   printNotModelled(s.not_modelled);
 }

@@ -25,5 +25,6 @@ if(FORMFIELD_BAKE)
   ff_find_openvdb()
   pkg_check_modules(TURBOJPEG REQUIRED IMPORTED_TARGET GLOBAL libturbojpeg)
   pkg_check_modules(WEBP REQUIRED IMPORTED_TARGET GLOBAL libwebp)
+  pkg_check_modules(OPENMPI IMPORTED_TARGET GLOBAL ompi-c)  # many ranks: without it ffbake is one process
   find_package(Eigen3 3.4 CONFIG REQUIRED)  # benches: the rival of gather
 endif()

@@ -2,8 +2,12 @@
 #include "bake/plan/cache.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
+#include <array>
+#include <chrono>
 #include <filesystem>
+#include <string>
 
 #include "tests/formats/faulty_storage.h"
 #include "tests/support/random_world.h"
@@ -77,13 +81,23 @@ TEST(BakeCache, OnAFullDiskWarnsOnceAndLeavesNoHalves) {
 TEST(BakeCache, RemovesItsOwnFilesAndNoOthers) {
   const formats::TemporaryFolder folder;
   open(folder.file("c"))->store("rays", {0, 1}, some(1000, 1));
-  formats::writeFile(folder.file("c/rays-1.ffu.999999999-0.tmp"), some(3, 1));
+  // Half-written: by a process that is gone; by one that is not; by some process of another machine, now and long ago.
+  std::array<char, 256> host{};
+  ASSERT_EQ(gethostname(host.data(), host.size() - 1), 0);
+  const std::string gone = folder.file("c/rays-1.ffu.999999999-0@") + host.data() + ".tmp",
+                    alive = folder.file("c/rays-2.ffu.") + std::to_string(getpid()) + "-0@" + host.data() + ".tmp",
+                    elsewhere = folder.file("c/rays-3.ffu.999999999-0@elsewhere.tmp"), long_ago = folder.file("c/rays-4.ffu.999999999-0@elsewhere.tmp");
+  for (const std::string& half : {gone, alive, elsewhere, long_ago}) formats::writeFile(half, some(3, 1));
+  std::filesystem::last_write_time(long_ago, std::filesystem::file_time_type::clock::now() - std::chrono::hours(48));
   formats::writeFile(folder.file("c/mine.txt"), some(3, 1));
-  open(folder.file("c"));  // of a process that is gone
-  EXPECT_FALSE(std::filesystem::exists(folder.file("c/rays-1.ffu.999999999-0.tmp")));
+  open(folder.file("c"));
+  EXPECT_FALSE(std::filesystem::exists(gone));
+  EXPECT_FALSE(std::filesystem::exists(long_ago));
+  EXPECT_TRUE(std::filesystem::exists(alive));
+  EXPECT_TRUE(std::filesystem::exists(elsewhere));
   const auto removed = BakeCache::clean(folder.file("c"));
   ASSERT_TRUE(removed);
-  EXPECT_EQ(*removed, 1040u);
+  EXPECT_EQ(*removed, 1046u);
   EXPECT_TRUE(std::filesystem::exists(folder.file("c/mine.txt")));
   std::filesystem::remove(folder.file("c/mine.txt"));
   EXPECT_TRUE(BakeCache::clean(folder.file("c")));

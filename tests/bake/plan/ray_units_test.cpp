@@ -3,6 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+
 #include <cstring>
 #include <filesystem>
 #include <iostream>
@@ -183,6 +188,92 @@ TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
   const UnitCounts second = castBoth(scene, 0.1f, *cache, "after damage").counts;
   EXPECT_EQ(second.missing, damaged);
   EXPECT_EQ(second.clean, first.units() - damaged);
+}
+
+// Ranks of one process: what others ask, a thread of the test answers by what rank 0 was told to serve.
+class TestRanks final : public Ranks {
+ public:
+  int rank() const override { return 0; }
+  int size() const override { return 4; }
+  void serve(std::function<uint32_t()> next, std::function<void(uint32_t)> done) override {
+    const std::lock_guard lock(mutex_);
+    next_ = std::move(next);
+    done_ = std::move(done);
+    serving_.notify_all();
+  }
+  void endUnits() override {
+    const std::lock_guard lock(mutex_);
+    next_ = {};
+    ended_ = true;
+    serving_.notify_all();
+  }
+  uint32_t ask(uint32_t done) override {
+    std::unique_lock lock(mutex_);
+    serving_.wait(lock, [&] { return next_ || ended_; });
+    if (ended_) return kNoUnit;
+    if (done != kNoUnit) done_(done);
+    return next_();
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable serving_;
+  std::function<uint32_t()> next_;
+  std::function<void(uint32_t)> done_;
+  bool ended_ = false;
+};
+
+// Another rank: asks as often as `most` says, and is gone then with the unit that it was given.
+struct Mortal final : Ranks {
+  Mortal(Ranks& of, uint32_t asks) : all(of), most(asks) {}
+  int rank() const override { return 1; }
+  int size() const override { return 4; }
+  void serve(std::function<uint32_t()>, std::function<void(uint32_t)>) override {}
+  void endUnits() override {}
+  uint32_t ask(uint32_t done) override {
+    const uint32_t unit = all.ask(done);
+    if (most-- == 0) throw Stopped{};
+    return unit;
+  }
+  Ranks& all;
+  std::atomic<uint32_t> most;
+};
+
+TEST(RayUnits, AreTheSameWhoeverCastsThemAndWhoeverIsGone) {
+  const formats::TemporaryFolder folder;
+  const Scene scene = town(folder, 3000);
+  const auto caster = RayCaster::create(scene);
+  ASSERT_TRUE(caster);
+  const auto set = makePatches(scene, {.cell_m = 1}, &*caster);
+  ASSERT_TRUE(set);
+  WorkCount done;
+  const HitRows alone = castRows(scene, *set, *caster, kFewRays, 1, done);
+  for (const char* kind : {"all help", "two are gone", "another folder"}) {
+    SCOPED_TRACE(kind);
+    const bool gone = kind == std::string("two are gone"), elsewhere = kind == std::string("another folder");
+    TestRanks ranks;
+    const auto cache = cacheIn(folder.file(kind)), other = cacheIn(folder.file(elsewhere ? "elsewhere" : kind));
+    std::vector<std::thread> others;
+    for (uint32_t r = 1; r < 4; ++r)
+      others.emplace_back([&, r] {
+        Mortal self(ranks, gone && r < 3 ? r : kNoUnit);
+        WorkCount count;
+        try {
+          RayUnits(scene, *set, kFewRays, 1, *other).help(*caster, count, self);
+        } catch (const Stopped&) {
+        }
+      });
+    RayUnits units(scene, *set, kFewRays, 1, *cache);
+    UnitCounts counts;
+    EXPECT_TRUE(equal(alone, gathered([&](const TakeRows& take) { units.cast(*caster, done, counts, take, &ranks); })));
+    for (std::thread& t : others) t.join();
+    EXPECT_EQ(counts.clean, 0u);
+    if (elsewhere) {
+      EXPECT_EQ(counts.by_others, 0u);
+    } else {
+      EXPECT_GT(counts.by_others, 0u);
+    }
+  }
 }
 
 }  // namespace
