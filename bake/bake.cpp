@@ -216,6 +216,7 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(&s.seed, sizeof s.seed);
   put(&s.metals, sizeof s.metals);
   put(&s.geometry, sizeof s.geometry);
+  put(&s.preview, sizeof s.preview);
   put(scene.name.c_str(), scene.name.size() + 1);  // the manifest holds it
   put(FF_VERSION, sizeof FF_VERSION);
   put(&kBakeCode, sizeof kBakeCode);
@@ -512,6 +513,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.fewest_rays = stats.fewest_rays;
   info.target_error = settings.target_error;
   info.row_error = stats.row_error;
+  info.preview = settings.preview;
   info.quanta = settings.quanta;
   info.seed = settings.seed;
   info.bake_key = bakeKey(scene, settings, set.cell_m);
@@ -558,9 +560,9 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   }
   stats.warnings.insert(stats.warnings.end(), writer->warnings().begin(), writer->warnings().end());
   if (!settings.vdb_path.empty()) {
-    std::vector<Cell> cells;
-    for (const Patch& p : set.patches) cells.push_back(p.cell);
-    if (auto ok = writeWorldGrids(settings.vdb_path, cells, set.cell_m, scene.origin); !ok) return ok.error();
+    std::vector<GridPatch> patches;
+    for (size_t p = 0; p < n; ++p) patches.push_back({set.patches[p].cell, hits.sight[p].square_error});
+    if (auto ok = writeWorldGrids(settings.vdb_path, patches, set.cell_m, scene.origin); !ok) return ok.error();
   }
   stats.not_modelled = notModelled(scene);
   for (uint32_t& i : lowered) i = patch_of[i];

@@ -46,6 +46,7 @@ struct BakeSettings {
   Ranks* ranks = nullptr;          // other processes that help, with a cache that all of them see; null: none
   const std::atomic<bool>* stop = nullptr;  // once it is true, the bake ends within a second, with an error of cause kStopped
   bool geometry = true;           // write drawing geometry
+  bool preview = false;           // the world is marked as one: WorldInfo::preview
   std::string vdb_path{};          // where to write the world's cells as OpenVDB grids (world_grids.h); empty: nowhere
 };
 

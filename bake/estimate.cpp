@@ -64,13 +64,17 @@ uint64_t freeMemory() {
   uint64_t kib;
   for (std::string unit; in >> key >> kib; std::getline(in, unit))
     if (key == "MemAvailable:") free = kib << 10;
-  std::ifstream group("/proc/self/cgroup");
-  for (std::string line; std::getline(group, line);) {
-    if (line.compare(0, 3, "0::") != 0) continue;
-    for (std::string folder = "/sys/fs/cgroup" + line.substr(3);; folder.resize(folder.rfind('/'))) {  // limits of those above count, too
-      const uint64_t limit = numberIn(folder + "/memory.max"), used = numberIn(folder + "/memory.current");
+  std::ifstream groups("/proc/self/cgroup");  // "0::/a/b" of version 2, "4:memory:/a/b" of version 1
+  for (std::string line; std::getline(groups, line);) {
+    const bool second = line.starts_with("0::");
+    const size_t memory = line.find(":memory:");
+    if (!second && memory == std::string::npos) continue;
+    const std::string root = second ? "/sys/fs/cgroup" : "/sys/fs/cgroup/memory";
+    for (std::string folder = root + line.substr(second ? 3 : memory + 8);; folder.resize(folder.rfind('/'))) {  // limits of those above count, too
+      const uint64_t limit = numberIn(folder + (second ? "/memory.max" : "/memory.limit_in_bytes")),
+                     used = numberIn(folder + (second ? "/memory.current" : "/memory.usage_in_bytes"));
       if (limit != kAll && used != kAll) free = std::min(free, limit - std::min(limit, used));
-      if (folder.size() <= std::string("/sys/fs/cgroup").size()) break;
+      if (folder.size() <= root.size()) break;
     }
   }
   return free;

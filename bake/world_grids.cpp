@@ -3,6 +3,8 @@
 #include <openvdb/io/File.h>
 #include <openvdb/openvdb.h>
 
+#include <cmath>
+
 namespace ff::bake {
 namespace {
 
@@ -15,23 +17,30 @@ openvdb::math::Transform::Ptr cellsOf(double edge_m, const std::array<double, 3>
 
 }  // namespace
 
-Result<void> writeWorldGrids(const std::string& path, std::span<const Cell> cells, float cell_m, const std::array<double, 3>& origin) try {
+Result<void> writeWorldGrids(const std::string& path, std::span<const GridPatch> patches, float cell_m, const std::array<double, 3>& origin) try {
   openvdb::initialize();
-  const auto patches = openvdb::Int32Grid::create(0);
-  patches->setName("patches");
-  patches->setTransform(cellsOf(static_cast<double>(cell_m), origin));
+  const auto counts = openvdb::Int32Grid::create(0);
+  counts->setName("patches");
+  counts->setTransform(cellsOf(static_cast<double>(cell_m), origin));
+  const auto errors = openvdb::FloatGrid::create(0);  // sums of squares at first
+  errors->setName("error");
+  errors->setTransform(cellsOf(static_cast<double>(cell_m), origin));
   const auto chunks = openvdb::MaskGrid::create(false);
   chunks->setName("chunks");
   chunks->setTransform(cellsOf(static_cast<double>(cell_m) * formats::kChunkCells, origin));
-  auto count = patches->getAccessor();
+  auto count = counts->getAccessor();
+  auto error = errors->getAccessor();
   auto occupied = chunks->getAccessor();
-  for (const Cell& cell : cells) {
+  for (const auto& [cell, square_error] : patches) {
     const openvdb::Coord c(cell[0], cell[1], cell[2]);
     count.setValueOn(c, count.getValue(c) + 1);
+    error.setValueOn(c, error.getValue(c) + square_error);
     occupied.setValueOn(openvdb::Coord(cell[0] >> formats::kChunkLog, cell[1] >> formats::kChunkLog, cell[2] >> formats::kChunkLog));
   }
+  for (auto cell = errors->beginValueOn(); cell; ++cell)
+    cell.setValue(2 * std::sqrt(*cell / static_cast<float>(count.getValue(cell.getCoord()))));
   openvdb::io::File file(path);
-  file.write({patches, chunks});
+  file.write({counts, errors, chunks});
   file.close();
   return {};
 } catch (const std::exception& e) {

@@ -12,8 +12,14 @@
 
 namespace ff::bake {
 
-// Writes a .vdb file of two grids: `patches` (int32), how many patches lie in each cell of level 0; `chunks` (mask), the occupied chunks of level 0,
-// a voxel each. Both in metres of the source's world space. cells: of each patch, in any order. Errors: kIo.
-Result<void> writeWorldGrids(const std::string& path, std::span<const Cell> cells, float cell_m, const std::array<double, 3>& origin);
+struct GridPatch {
+  Cell cell;
+  float square_error;  // PatchSight's
+};
+
+// Writes a .vdb file of three grids: `patches` (int32), how many patches lie in each cell of level 0; `error` (float), how far the light that rays bring
+// them is off, relative, twice the root mean square of its standard deviations; `chunks` (mask), the occupied chunks of level 0, a voxel each. All in
+// metres of the source's world space. patches: in any order. Errors: kIo.
+Result<void> writeWorldGrids(const std::string& path, std::span<const GridPatch> patches, float cell_m, const std::array<double, 3>& origin);
 
 }  // namespace ff::bake

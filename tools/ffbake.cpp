@@ -61,7 +61,7 @@ Result<float> readError(const std::string& text) {
 }
 
 // What the tool itself reads or writes besides the world may not be the world, nor the other way round.
-Result<void> checkOutputs(std::span<const std::string> scenes, const std::string& out, const std::string& vdb) {
+Result<void> checkOutputs(std::span<const std::string> inputs, const std::string& out, const std::string& vdb) {
   const auto same = [](const std::string& a, const std::string& b) {
     std::error_code unknown;
     return a == b || std::filesystem::equivalent(a, b, unknown);
@@ -69,7 +69,7 @@ Result<void> checkOutputs(std::span<const std::string> scenes, const std::string
   const auto refused = [](const std::string& file, const char* message) {
     return Error{ErrorCode::kUsage, file, "", message, "name another output"};
   };
-  for (const std::string& scene : scenes) {
+  for (const std::string& scene : inputs) {
     if (same(scene, out)) return refused(out, "the output would take the place of the scene");
     if (same(scene, vdb)) return refused(vdb, "the grids would take the place of the scene");
   }
@@ -87,23 +87,24 @@ int run(int argc, char** argv) {
   std::vector<std::string> scenes;
   std::string out;
   bake::BakeSettings settings;
-  std::string budget = "60k";
   bool quiet = false, json = false, no_geometry = false, json_progress = false, no_cache = false, status = false, clean = false;
   std::string cache_folder;
   uint64_t cache_limit = 20'000'000'000;
-  app.add_option("scene", scenes, "the scene: .glb or .gltf files of one space, or folders of them; needed unless --clean is given");
+  app.add_option("scene", scenes, "the scene: .glb or .gltf files of one space, folders of them, or a .json list with where each stands; needed unless --clean is given");
   app.add_option("-o,--output", out, "the world to write, NAME.ffm; shards are written beside it")->required();
   app.add_option("--patch-size", settings.cell_m, "edge of a patch in metres (default: from --patch-budget)")
       ->check(CLI::PositiveNumber);
-  app.add_option("--patch-budget", settings.patch_budget, "about how many patches to make when no size is given")
+  CLI::Option* budget = app.add_option("--patch-budget", settings.patch_budget, "about how many patches to make when no size is given")
       ->transform(CLI::AsSizeValue(true))
       ->capture_default_str();
+  CLI::Option* preview = app.add_flag("--preview", settings.preview,
+                                      "in seconds, to look at: 10k patches, 128 rays and samples, unless these are given; the world says that it is one");
   std::string target_error = "2%";
   CLI::Option* target = app.add_option("--target-error", target_error, "rays are cast until the light that a patch gets errs by less, twice its standard deviation")
                             ->capture_default_str();
   CLI::Option* rays = app.add_option("--rays", settings.rays, "so many rays per patch instead, 1 to 65535; with --target-error at most so many")
                           ->default_str("16384 at most");
-  app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
+  CLI::Option* samples = app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
   app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")
@@ -128,7 +129,7 @@ int run(int argc, char** argv) {
   app.add_option("--memory", settings.memory_bytes, "most memory to take, 2G for one: what does not fit is put into files beside the world; a bake that needs more all the same is refused (default: what is free)")
       ->transform(CLI::AsSizeValue(true));
   app.add_flag("--no-geometry", no_geometry, "leave out the drawing geometry");
-  app.add_option("--write-vdb", settings.vdb_path, "also write the occupied chunks, and the patches in each cell, as OpenVDB grids")->type_name("FILE.vdb");
+  app.add_option("--write-vdb", settings.vdb_path, "also write the occupied chunks, the patches in each cell and the error of their rows as OpenVDB grids")->type_name("FILE.vdb");
   app.add_option("--cache", cache_folder,
                  "where to keep what was done, so that a bake that was stopped goes on and an edit costs what it changes (default: NAME.cache beside the world)")
       ->type_name("FOLDER");
@@ -146,7 +147,12 @@ int run(int argc, char** argv) {
     return app.exit(e) == 0 ? 0 : 1;
   }
   settings.geometry = !no_geometry;
-  if (target->count() > 0 || rays->count() == 0) {
+  if (preview->count() > 0) {
+    if (budget->count() == 0) settings.patch_budget = 10'000;
+    if (samples->count() == 0) settings.quanta = 128;
+    if (rays->count() == 0 && target->count() == 0) settings.rays = 128;
+  }
+  if (target->count() > 0 || (rays->count() == 0 && !settings.preview)) {
     const auto error = readError(target_error);
     if (!error) return fail(error.error());
     settings.target_error = *error;
@@ -169,7 +175,9 @@ int run(int argc, char** argv) {
   const auto files = bake::sceneFiles(scenes);
   if (!files) return fail(files.error());
   if (status && no_cache) return fail({ErrorCode::kUsage, "--status", "", "there is no cache to look into with --no-cache", ""});
-  if (auto ok = checkOutputs(*files, out, settings.vdb_path); !ok) return fail(ok.error());
+  std::vector<std::string> inputs = scenes;  // lists and folders as well
+  for (const bake::SceneFile& file : *files) inputs.push_back(file.path);
+  if (auto ok = checkOutputs(inputs, out, settings.vdb_path); !ok) return fail(ok.error());
 
   std::signal(SIGPIPE, SIG_IGN);  // a reader of stderr that is gone is no reason to end; one of stdout is an error at the end
   tools::StopSignals signals("ffbake");

@@ -168,10 +168,13 @@ Result<void> addSeen(chart::Report& r, const Options& o, chart::Sweep& sweep) {
 
 Result<chart::JsonPage> chartWorld(Options& o) {
   view::CameraPath path;
+  std::array<double, 3> origin{};
+  if (!o.sweep.world_path.empty())
+    if (const auto world = formats::World::open(o.sweep.world_path)) {
+      origin = world->info().origin;
+      if (world->info().preview) std::cerr << "ffchart: warning: " << o.sweep.world_path << " is a preview (ffbake --preview): what is charted is that of few large patches and few rays\n";
+    }
   if (!o.camera.empty()) {
-    std::array<double, 3> origin{};
-    if (!o.sweep.world_path.empty())
-      if (const auto world = formats::World::open(o.sweep.world_path)) origin = world->info().origin;
     auto read = view::readCamera(o.camera, origin);
     if (!read) return read.error();
     path = std::move(*read);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <map>
@@ -11,6 +12,9 @@
 #include <system_error>
 #include <utility>
 
+#include "bake/import/instances.h"
+#include "bake/import/json.h"
+#include "bake/import/validate.h"
 #include "formats/storage/storage.h"
 
 namespace ff::bake {
@@ -116,34 +120,80 @@ class Joiner {
 
 }  // namespace
 
-Result<std::vector<std::string>> sceneFiles(std::span<const std::string> paths) {
-  std::vector<std::string> files;
+namespace {
+
+// Appends the scene files that `path` stands for. Throws gltf::ImportError, of a list that is wrong.
+Result<void> addFiles(const std::string& path, const gltf::Matrix& placed, std::vector<SceneFile>& files);
+
+Result<void> addFolder(const std::string& folder, const gltf::Matrix& placed, std::vector<SceneFile>& files) {
+  const auto names = formats::posixStorage()->list(folder);
+  if (!names) return names.error();
+  const size_t before = files.size();
+  for (const std::string& name : *names)
+    if (isScene(name)) files.push_back({folder + (folder.ends_with('/') ? "" : "/") + name, placed});
+  if (files.size() == before) return Error{ErrorCode::kIo, folder, "", "the folder holds no .glb or .gltf file", "name the scene's files"};
+  return {};
+}
+
+Result<void> addList(const std::string& list, std::vector<SceneFile>& files) {
+  const auto bytes = formats::readWholeFile(*formats::posixStorage(), list);
+  if (!bytes) return bytes.error();
+  const auto* text = reinterpret_cast<const char*>(bytes->data());
+  const gltf::Json parsed = gltf::Json::parse(text, text + bytes->size(), nullptr, false);
+  if (!parsed.is_object() || !parsed.contains("files") || !parsed["files"].is_array() || parsed["files"].empty())
+    gltf::refuse("", "is not a list of scene files", "{\"files\": [\"a.glb\", {\"path\": \"b.glb\", \"translation\": [100, 0, 0]}]}, for one");
+  size_t number = 0;
+  for (const gltf::Json& entry : parsed["files"]) {
+    const std::string place = "file " + std::to_string(number++);
+    gltf::Json named{{"path", entry}};
+    const gltf::Item item(entry.is_string() ? named : entry, place);
+    for (const auto& [key, value] : item.json().items())
+      if (key != "path" && key != "matrix" && key != "translation" && key != "rotation" && key != "scale")
+        gltf::refuse(place, "\"" + gltf::printable(key) + "\" is not known", "path, matrix, translation, rotation and scale are");
+    const std::string path = item.text("path");
+    if (path.empty() || path.ends_with(".json")) gltf::refuse(place, "path must name a .glb or .gltf file, or a folder", "name one");
+    gltf::Json transform = gltf::Json::object();
+    gltf::validateTransform(item, transform);
+    const gltf::Matrix placed = gltf::transformOf(transform);
+    if (!(std::abs(gltf::determinant(placed)) > 0)) gltf::refuse(place, "its scale is zero", "give another");
+    if (auto ok = addFiles(path.starts_with('/') ? path : formats::folderOf(list) + path, placed, files); !ok) return ok;
+  }
+  return {};
+}
+
+Result<void> addFiles(const std::string& path, const gltf::Matrix& placed, std::vector<SceneFile>& files) {
+  std::error_code unknown;
+  if (std::filesystem::is_directory(path, unknown)) return addFolder(path, placed, files);
+  files.push_back({path, placed});
+  return {};
+}
+
+}  // namespace
+
+Result<std::vector<SceneFile>> sceneFiles(std::span<const std::string> paths) {
+  std::vector<SceneFile> files;
   for (const std::string& path : paths) {
-    std::error_code unknown;
-    if (!std::filesystem::is_directory(path, unknown)) {
-      files.push_back(path);
-      continue;
+    try {
+      const auto ok = path.ends_with(".json") ? addList(path, files) : addFiles(path, SceneFile{}.placed, files);
+      if (!ok) return ok.error();
+    } catch (gltf::ImportError& fault) {
+      fault.error.file = path;
+      return fault.error;
     }
-    const auto names = formats::posixStorage()->list(path);
-    if (!names) return names.error();
-    const size_t before = files.size();
-    for (const std::string& name : *names)
-      if (isScene(name)) files.push_back(path + (path.ends_with('/') ? "" : "/") + name);
-    if (files.size() == before) return Error{ErrorCode::kIo, path, "", "the folder holds no .glb or .gltf file", "name the scene's files"};
   }
   return files;
 }
 
-Result<Scene> importFiles(std::span<const std::string> files, const ImportLimits& limits) {
+Result<Scene> importFiles(std::span<const SceneFile> files, const ImportLimits& limits) {
   if (files.empty()) return Error{ErrorCode::kUsage, "", "", "no scene is given", "name a .glb or .gltf file"};
-  if (files.size() == 1) return importGltf(files[0], limits);
   ImportLimits of_each = limits;
-  of_each.progress = {};
+  if (files.size() > 1) of_each.progress = {};
   std::optional<Joiner> all;
   for (size_t f = 0; f < files.size(); ++f) {
-    if (limits.progress) limits.progress(f, files.size());
-    auto scene = importGltf(files[f], of_each);
-    if (!scene) return scene;
+    if (limits.progress && files.size() > 1) limits.progress(f, files.size());
+    of_each.placed = files[f].placed;
+    auto scene = importGltf(files[f].path, of_each);
+    if (!scene || files.size() == 1) return scene;
     if (!all) all.emplace(std::move(*scene));
     else if (auto ok = all->add(std::move(*scene)); !ok) return ok.error();
   }

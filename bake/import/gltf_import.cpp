@@ -81,8 +81,8 @@ bool isDegenerate(Vec3 a, Vec3 b, Vec3 c) {
 
 Matrix rootOf(const ImportLimits& limits) {
   const double s = limits.scale;
-  if (limits.z_up) return {s, 0, 0, 0, 0, 0, -s, 0, 0, s, 0, 0, 0, 0, 0, 1};
-  return {s, 0, 0, 0, 0, s, 0, 0, 0, 0, s, 0, 0, 0, 0, 1};
+  const Matrix metres = limits.z_up ? Matrix{s, 0, 0, 0, 0, 0, -s, 0, 0, s, 0, 0, 0, 0, 0, 1} : Matrix{s, 0, 0, 0, 0, s, 0, 0, 0, 0, s, 0, 0, 0, 0, 1};
+  return multiply(limits.placed, metres);
 }
 
 class Builder {
@@ -174,7 +174,7 @@ class Builder {
       for (size_t a = 0; a < 3; ++a) to_scene[12 + a] -= scene_.origin[a];
       auto light = placed(document_.lights.of_node.at(static_cast<uint32_t>(at.node)), to_scene, "node " + std::to_string(at.node), scene_.warnings);
       if (light) {
-        light->range_m *= static_cast<float>(limits_.scale);
+        light->range_m *= static_cast<float>(limits_.scale * std::cbrt(std::abs(determinant(limits_.placed))));
         scene_.lights.push_back(std::move(*light));
       }
     }

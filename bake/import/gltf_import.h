@@ -1,5 +1,6 @@
 // glTF 2.0 (.gltf, .glb) to Scene. The only file that sees tinygltf and Draco's decoder.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -14,6 +15,7 @@ struct ImportLimits {
   double scale = 1;   // of a unit of the file's coordinates, m
   std::function<void(uint64_t done, uint64_t total)> progress{};  // instances of primitives; may be called often
   bool z_up = false;  // the file's third axis points up, its second one to the back
+  std::array<double, 16> placed = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};  // where the file stands in the world, m: column-major, last row 0 0 0 1
 };
 
 // Loads the default scene (scene 0 where none is named; all root nodes where there are no scenes). Things a radiosity

@@ -7,14 +7,6 @@
 namespace ff::bake::gltf {
 namespace {
 
-Matrix multiply(const Matrix& a, const Matrix& b) {
-  Matrix out{};
-  for (size_t c = 0; c < 4; ++c)
-    for (size_t r = 0; r < 4; ++r)
-      for (size_t k = 0; k < 4; ++k) out[c * 4 + r] += a[k * 4 + r] * b[c * 4 + k];
-  return out;
-}
-
 // t: 3 numbers, q: unit quaternion x y z w, s: 3 numbers.
 Matrix compose(const double* t, const double* q, const double* s) {
   const double x = q[0], y = q[1], z = q[2], w = q[3];
@@ -78,10 +70,26 @@ void addGpuInstances(const Document& document, const tinygltf::Value& extension,
 
 }  // namespace
 
-bool isMirror(const Matrix& m) {
-  return m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) +
-             m[8] * (m[1] * m[6] - m[2] * m[5]) <
-         0;
+Matrix multiply(const Matrix& a, const Matrix& b) {
+  Matrix out{};
+  for (size_t c = 0; c < 4; ++c)
+    for (size_t r = 0; r < 4; ++r)
+      for (size_t k = 0; k < 4; ++k) out[c * 4 + r] += a[k * 4 + r] * b[c * 4 + k];
+  return out;
+}
+
+double determinant(const Matrix& m) {
+  return m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) + m[8] * (m[1] * m[6] - m[2] * m[5]);
+}
+
+Matrix transformOf(const Json& validated) {
+  Matrix m;
+  if (validated.contains("matrix")) {
+    validated["matrix"].get_to(m);
+    return m;
+  }
+  const auto of = [&](const char* key, std::vector<double> otherwise) { return validated.value(key, otherwise); };
+  return compose(of("translation", {0, 0, 0}).data(), of("rotation", {0, 0, 0, 1}).data(), of("scale", {1, 1, 1}).data());
 }
 
 std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget,

@@ -14,7 +14,11 @@ struct Instance {
   int node = 0;
 };
 
-bool isMirror(const Matrix& m);
+Matrix multiply(const Matrix& a, const Matrix& b);
+double determinant(const Matrix& m);
+inline bool isMirror(const Matrix& m) { return determinant(m) < 0; }
+// Of a node's JSON as validateTransform() leaves it: matrix, or translation, rotation and scale.
+Matrix transformOf(const Json& validated);
 // root: what the scene stands in. Per mesh, in the order of a depth-first walk from the scene's roots. lights: appended, the
 // visible nodes that hold one (Document::lights).
 std::vector<std::vector<Instance>> listInstances(const Document& document, const Matrix& root, Budget& budget,

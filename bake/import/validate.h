@@ -49,6 +49,8 @@ Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, s
                        std::vector<std::string>& warnings);
 Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                     size_t view_count, std::vector<std::string>& warnings);
+// A node's matrix, or its translation, rotation and scale: checked, and put into `validated`.
+void validateTransform(const Item& item, Json& validated);
 Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                    std::vector<uint32_t>& roots);
 

@@ -34,6 +34,20 @@ Json validateInstancing(const Item& instancing, const std::vector<AccessorFacts>
   return {{"attributes", std::move(kept)}};
 }
 
+// Parents are unique by now, so that walking up from any node either ends at a root or runs into a cycle.
+void refuseCycles(const std::vector<uint32_t>& parent) {
+  std::vector<uint32_t> seen_from(parent.size(), kNoNode);
+  for (uint32_t start = 0; start < parent.size(); ++start)
+    for (uint32_t node = start; node != kNoNode && seen_from[node] != start; node = parent[node]) {
+      if (seen_from[node] != kNoNode) break;  // joins a path that is known to end
+      seen_from[node] = start;
+      if (parent[node] != kNoNode && seen_from[parent[node]] == start)
+        refuse("node " + std::to_string(node), "is part of a cycle of children");
+    }
+}
+
+}  // namespace
+
 void validateTransform(const Item& item, Json& validated) {
   if (const auto matrix = item.numbers("matrix", 16); !matrix.empty()) {
     for (const char* key : {"translation", "rotation", "scale"})
@@ -52,20 +66,6 @@ void validateTransform(const Item& item, Json& validated) {
     validated["rotation"] = q;
   }
 }
-
-// Parents are unique by now, so that walking up from any node either ends at a root or runs into a cycle.
-void refuseCycles(const std::vector<uint32_t>& parent) {
-  std::vector<uint32_t> seen_from(parent.size(), kNoNode);
-  for (uint32_t start = 0; start < parent.size(); ++start)
-    for (uint32_t node = start; node != kNoNode && seen_from[node] != start; node = parent[node]) {
-      if (seen_from[node] != kNoNode) break;  // joins a path that is known to end
-      seen_from[node] = start;
-      if (parent[node] != kNoNode && seen_from[parent[node]] == start)
-        refuse("node " + std::to_string(node), "is part of a cycle of children");
-    }
-}
-
-}  // namespace
 
 Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                    std::vector<uint32_t>& roots) {

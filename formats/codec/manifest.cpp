@@ -90,7 +90,7 @@ Result<void> readInfo(const Section& s, WorldInfo& info) {
   if (!(info.cell_m > 0) || !std::isfinite(info.cell_m) || !std::isfinite(info.origin[0] + info.origin[1] + info.origin[2]) || !finite(info.bounds.lo) ||
       !finite(info.bounds.hi) || info.bounds.empty() || !std::isfinite(info.row_total_deviation) ||
       !(info.row_total_deviation >= 0) || !(info.target_error >= 0) || !(info.row_error >= 0) || !std::isfinite(info.target_error + info.row_error) || !std::isfinite(info.area_m2) || !std::isfinite(info.absorbed_fraction) ||
-      info.quanta > kMaxQuanta)
+      info.quanta > kMaxQuanta || info.preview > 1)
     return broken(s.record.offset, "world information holds a value that cannot be");
   return {};
 }

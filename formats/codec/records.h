@@ -167,7 +167,7 @@ struct WorldInfoRecord {
   static void fields(Io& io, Self& s) {
     io.f32(s.cell_m), io.f64(s.origin[0]), io.f64(s.origin[1]), io.f64(s.origin[2]), io.box(s.bounds), io.u32(s.rays), io.u32(s.quanta), io.u64(s.seed);
     io.bytes(s.bake_key), io.f32(s.row_total_deviation), io.f64(s.area_m2), io.u64(s.triangles);
-    io.f64(s.absorbed_fraction), io.u32(s.fewest_rays), io.f32(s.target_error), io.f32(s.row_error), io.text(s.generator), io.text(s.scene);
+    io.f64(s.absorbed_fraction), io.u32(s.fewest_rays), io.f32(s.target_error), io.f32(s.row_error), io.u8(s.preview), io.text(s.generator), io.text(s.scene);
   }
 };
 

@@ -374,6 +374,7 @@ FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* 
       report.hi[a] = i.bounds.hi[a];
     }
     report.has_geometry = w.world->hasGeometry();
+    report.preview = w.world->info().preview;
     report.lamp_groups = w.updater.lamps().groups();
     return giveReport(report, info);
   });

@@ -114,6 +114,7 @@ typedef struct FormfieldWorldInfo {
   float lo[3], hi[3];  /* bounds, from the origin */
   uint32_t has_geometry; /* 1: drawing triangles were baked in; probes need them */
   uint32_t lamp_groups;  /* see formfieldLampGroups */
+  uint32_t preview;      /* 1: baked in seconds to look at (ffbake --preview): not to be shipped */
 } FormfieldWorldInfo;
 
 FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* info);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
 #include <set>
 
 #include "bake/bake.h"
@@ -64,7 +65,7 @@ TEST(SceneFiles, FarFromZeroShareOneOrigin) {
     for (Vec3& p : model->nodes[0].parts[0].positions) p += Vec3{1048576, 0, model == &cap ? 0.0f : 1024.0f};
   ASSERT_TRUE(tools::writeGlb(cap, folder.file("a.glb")));
   ASSERT_TRUE(tools::writeGlb(beside, folder.file("b.glb")));
-  const std::vector<std::string> files = {folder.file("a.glb"), folder.file("b.glb")};
+  const std::vector<SceneFile> files = {{folder.file("a.glb")}, {folder.file("b.glb")}};
   const auto scene = importFiles(files);
   ASSERT_TRUE(scene) << scene.error().line();
   ASSERT_NE(scene->origin[0], 0);
@@ -81,11 +82,70 @@ TEST(SceneFiles, ThatAreMissingAreNamed) {
   ASSERT_FALSE(none);
   EXPECT_NE(none.error().line().find("no .glb"), std::string::npos);
   ASSERT_TRUE(tools::writeGlb(tools::furnaceBox(0.5f, 1), folder.file("a.glb")));
-  const std::vector<std::string> files = {folder.file("a.glb"), folder.file("absent.glb")};
+  const std::vector<SceneFile> files = {{folder.file("a.glb")}, {folder.file("absent.glb")}};
   const auto missing = importFiles(files);
   ASSERT_FALSE(missing);
   EXPECT_EQ(missing.error().file, folder.file("absent.glb"));
   EXPECT_FALSE(importFiles({}));
+}
+
+void write(const std::string& path, const std::string& text) { std::ofstream(path) << text; }
+
+TEST(SceneFiles, StandWhereAListPutsThem) {
+  const formats::TemporaryFolder folder;
+  std::filesystem::create_directories(folder.file("parts/houses"));
+  ASSERT_TRUE(tools::writeGlb(tools::furnaceBox(0.5f, 1), folder.file("parts/box.glb")));
+  ASSERT_TRUE(tools::writeGlb(tools::furnaceBox(0.5f, 1), folder.file("parts/houses/one.glb")));
+  // As it is; turned by a quarter about y, doubled and moved; mirrored by a matrix, with all files of a folder.
+  write(folder.file("parts/world.json"), R"({"files": ["box.glb",
+    {"path": "box.glb", "translation": [10, 0, 5], "rotation": [0, 0.70710678118654752, 0, 0.70710678118654752], "scale": [2, 2, 2]},
+    {"path": "houses", "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 20, 0, 1]}]})");
+  const std::vector<std::string> list = {folder.file("parts/world.json")};
+  const auto files = sceneFiles(list);
+  ASSERT_TRUE(files) << files.error().line();
+  ASSERT_EQ(files->size(), 3u);
+  const auto scene = importFiles(*files);
+  ASSERT_TRUE(scene) << scene.error().line();
+  const size_t n = scene->positions.size() / 3;
+  const auto normalOf = [&](size_t t) {
+    const auto& v = scene->triangles[t].v;
+    return cross(scene->positions[v[1]] - scene->positions[v[0]], scene->positions[v[2]] - scene->positions[v[0]]);
+  };
+  for (size_t i = 0; i < n; ++i) {
+    const Vec3 p = scene->positions[i], turned = scene->positions[n + i], mirrored = scene->positions[2 * n + i];
+    EXPECT_LT(length(turned - Vec3{10 + 2 * p.z, 2 * p.y, 5 - 2 * p.x}), 1e-5f);
+    EXPECT_LT(length(mirrored - Vec3{-p.x, p.y + 20, p.z}), 1e-5f);
+  }
+  const size_t triangles = scene->triangles.size() / 3;
+  for (size_t t = 0; t < triangles; ++t) {  // fronts stay fronts
+    const Vec3 front = normalOf(t), turned = normalOf(triangles + t), mirrored = normalOf(2 * triangles + t);
+    EXPECT_LT(length(turned - Vec3{front.z, front.y, -front.x} * 4), 1e-4f);
+    EXPECT_LT(length(mirrored - Vec3{-front.x, front.y, front.z}), 1e-4f);
+  }
+}
+
+TEST(SceneFiles, AListThatIsWrongIsRefusedInOneLine) {
+  const formats::TemporaryFolder folder;
+  ASSERT_TRUE(tools::writeGlb(tools::furnaceBox(0.5f, 1), folder.file("a.glb")));
+  const std::vector<std::string> list = {folder.file("world.json")};
+  for (const auto& [text, words] : {std::pair{"", "not a list"}, {"[]", "not a list"}, {R"({"files": []})", "not a list"}, {R"({"files": [7]})", "file 0"},
+                                    {R"({"files": ["a.glb", {"path": "a.glb", "translate": [1, 2, 3]}]})", "file 1: \"translate\" is not known"},
+                                    {R"({"files": [{"path": "a.glb", "translation": [1, 2]}]})", "file 0"},
+                                    {R"({"files": [{"path": "a.glb", "rotation": [1, 1, 0, 0]}]})", "unit quaternion"},
+                                    {R"({"files": [{"path": "a.glb", "scale": [1, 0, 1]}]})", "scale is zero"},
+                                    {R"({"files": [{"translation": [1, 2, 3]}]})", "path must name"},
+                                    {R"({"files": ["world.json"]})", "path must name"}}) {
+    write(folder.file("world.json"), text);
+    const auto files = sceneFiles(list);
+    ASSERT_FALSE(files) << text;
+    EXPECT_EQ(files.error().code, ErrorCode::kInvalidFile);
+    EXPECT_EQ(files.error().file, list[0]);
+    EXPECT_NE(files.error().line().find(words), std::string::npos) << files.error().line();
+  }
+  write(folder.file("world.json"), R"({"files": ["absent.glb"]})");
+  EXPECT_FALSE(importFiles(*sceneFiles(list)));
+  const std::vector<std::string> absent = {folder.file("absent.json")};
+  EXPECT_EQ(sceneFiles(absent).error().code, ErrorCode::kIo);
 }
 
 }  // namespace

@@ -1,16 +1,19 @@
-// ff_bench_bake [--quick]: speed, size and accuracy of the baker on voxel towns, beside bare Embree in the same run.
+// ff_bench_bake [--quick]: speed, size, memory and accuracy of ffbake on voxel towns, beside bare Embree in the same run.
 // Prints one JSON object a line (metric, value, unit, limit, note).
 #include <embree3/rtcore.h>
 #include <tbb/parallel_for.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <iostream>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <vector>
 
@@ -19,7 +22,6 @@
 #include "bake/light/form_factor.h"
 #include "formats/read/reader.h"
 #include "tests/support/analytic_scenes.h"
-#include "tools/bake/summary.h"
 #include "tools/chart/patch_rows.h"
 #include "tools/scene/glb.h"
 #include "tools/scene/town.h"
@@ -63,6 +65,23 @@ Scene imported(const std::filesystem::path& folder, const tools::Town& t) {
 
 Scene town(const std::filesystem::path& folder, uint64_t patches) {
   return imported(folder, orExit(tools::makeTown({.patches = patches})));
+}
+
+// What ffbake says of a bake of its own process, so that its memory is nobody else's.
+nlohmann::json baked(const std::filesystem::path& folder, uint32_t rays, uint64_t memory_bytes) {
+  std::string command = std::string(FF_BAKE_TOOL) + " " + (folder / "town.glb").string() + " -o " + (folder / "town.ffm").string() +
+                        " --patch-size 1 --no-cache --quiet --json --rays " + std::to_string(rays);
+  if (memory_bytes > 0) command += " --memory " + std::to_string(memory_bytes);
+  const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);
+  std::string text;
+  std::array<char, 4096> part;
+  for (size_t n = 0; pipe && (n = fread(part.data(), 1, part.size(), pipe.get())) > 0;) text.append(part.data(), n);
+  auto stats = nlohmann::json::parse(text, nullptr, false);
+  if (!stats.is_object()) {
+    std::cerr << "ff_bench_bake: this failed: " << command << "\n";
+    std::exit(2);
+  }
+  return stats;
 }
 
 // The share of a bake's units of rays that an edit has cast again; the bake is in the cache.
@@ -149,37 +168,42 @@ double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster
 
 int main(int argc, char** argv) {
   bool quick = false;
-  uint64_t patches = 0;
+  uint64_t patches = 0, memory_bytes = 0;
+  uint32_t rays = 4096;
   CLI::App app{"Benchmarks of the baker; JSON lines.", "ff_bench_bake"};
   app.add_flag("--quick", quick, "a town of 8,000 patches");
   app.add_option("--patches", patches, "of the town (60k)")->transform(CLI::AsSizeValue(true));
+  app.add_option("--memory", memory_bytes, "of the whole bake, as for ffbake (what is free)")->transform(CLI::AsSizeValue(true));
+  app.add_option("--rays", rays, "a patch, of the whole bake")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   if (patches == 0) patches = quick ? 8000 : 60000;
   const uint64_t small = quick ? 2000 : 8000, accurate = quick ? 4000 : 16000;
   const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_bake_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
-  const std::string name = "voxel town, 4096 rays, Q = 512";
+  const std::string name = "voxel town, " + std::to_string(rays) + " rays, Q = 512";
 
   const tools::Town made = orExit(tools::makeTown({.patches = patches}));
   const Scene scene = imported(folder, made);
   const RayCaster caster = orExit(RayCaster::create(scene));
   const PatchSet set = orExit(makePatches(scene, {.cell_m = 1}, &caster));
-  const double before = bareRaysPerSecond(scene, set, caster, 4096);
-  const BakeStats stats = orExit(bakeWorld(scene, {.cell_m = 1}, (folder / "town.ffm").string()));
-  const double after = bareRaysPerSecond(scene, set, caster, 4096);
+  const double before = bareRaysPerSecond(scene, set, caster, rays);
+  const nlohmann::json stats = baked(folder, rays, memory_bytes);
+  const double after = bareRaysPerSecond(scene, set, caster, rays);
   const double bare = (before + after) / 2;  // around the bake, since the machine's speed drifts
-  const double speed = static_cast<double>(stats.rays) / stats.seconds;
-  const std::string note = name + ", " + std::to_string(stats.levels[0].nodes) + " patches, whole bake after import";
+  const double seconds = stats["seconds"], speed = static_cast<double>(stats["rays"]) / seconds;
+  const auto& level0 = stats["levels"][0];
+  const double nodes = level0["nodes"];
+  const std::string note = name + ", " + std::to_string(level0["nodes"].get<uint64_t>()) + " patches, whole bake after import";
   print("bake.rays_per_s", speed, "rays/s", bare, note + "; limit: bare rtcIntersect1, same rays, all threads");
   print("bake.ratio_to_bare_embree", speed / bare, "ratio", 1, note);
-  print("bake.peak_mib", static_cast<double>(tools::peakBytes()) / (1 << 20), "MiB", kNoLimit, note);
-  uint64_t all = 0;
-  for (const auto& l : stats.levels) all += l.stored_bytes;
-  const auto& level0 = stats.levels[0];
+  print("bake.peak_mib", static_cast<double>(stats["peak_bytes"]) / (1 << 20), "MiB", memory_bytes > 0 ? static_cast<double>(memory_bytes) / (1 << 20) : kNoLimit,
+        note + ", with import; limit: --memory; put into files: " + std::to_string(stats["spilled_bytes"].get<uint64_t>() >> 20) + " MiB");
+  double all = 0;
+  for (const auto& l : stats["levels"]) all += l["stored_bytes"].get<double>();
   const auto world = orExit(formats::World::open((folder / "town.ffm").string()));
-  print("bake.bytes_per_patch", static_cast<double>(world.levels()[0].stored_bytes) / level0.nodes, "B", 190, note + "; level 0: rows, node records, index");
-  print("bake.entries_per_row", static_cast<double>(level0.entries) / level0.nodes, "entries", kNoLimit, note);
-  print("bake.pyramid_over_level0", static_cast<double>(all) / static_cast<double>(level0.stored_bytes), "ratio", 1.6,
+  print("bake.bytes_per_patch", static_cast<double>(world.levels()[0].stored_bytes) / nodes, "B", 190, note + "; level 0: rows, node records, index");
+  print("bake.entries_per_row", level0["entries"].get<double>() / nodes, "entries", kNoLimit, note);
+  print("bake.pyramid_over_level0", all / level0["stored_bytes"].get<double>(), "ratio", 1.6,
         note);
 
   // As ffbake does it: rays for an error of 2 %, with a cache; and an edit.
@@ -188,7 +212,7 @@ int main(int argc, char** argv) {
   const BakeStats at_target = orExit(bakeWorld(scene, asked, (folder / "town.ffm").string()));
   print("bake.rays_per_patch_at_target", at_target.mean_rays, "rays", kNoLimit,
         "for an error of 2 %, of which " + std::to_string(100 * static_cast<double>(at_target.row_error)) + " % measured; " +
-            std::to_string(at_target.seconds) + " s, of 4096 rays a patch " + std::to_string(stats.seconds));
+            std::to_string(at_target.seconds) + " s, of " + std::to_string(rays) + " rays a patch " + std::to_string(seconds));
   const auto placeOf = [&](tools::Int3 voxel) {
     return Vec3{static_cast<float>(made.origin.x + voxel.x), 0, static_cast<float>(made.origin.z + voxel.z)} * made.cell_m;
   };
@@ -200,10 +224,10 @@ int main(int argc, char** argv) {
             ". Bound by what sees it. Patches, pyramid and strips are made anew whole");
 
   const Scene little = town(folder, small);
-  const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1}, (folder / "little.ffm").string()));
-  print("bake.cost_growth", (stats.seconds / level0.nodes) / (little_stats.seconds / little_stats.levels[0].nodes),
+  const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1, .rays = rays}, (folder / "little.ffm").string()));
+  print("bake.cost_growth", (seconds / nodes) / (little_stats.seconds / little_stats.levels[0].nodes),
         "ratio", 1,
-        "seconds a patch at " + std::to_string(level0.nodes) + " patches over that at " +
+        "seconds a patch at " + std::to_string(static_cast<uint64_t>(nodes)) + " patches over that at " +
             std::to_string(little_stats.levels[0].nodes));
 
   const Scene probe = town(folder, accurate);

@@ -128,6 +128,7 @@ TEST(World, ReadsWhatWasWritten) {
     EXPECT_EQ(world->info().fewest_rays, w.info.fewest_rays);
     EXPECT_EQ(world->info().target_error, w.info.target_error);
     EXPECT_EQ(world->info().row_error, w.info.row_error);
+    EXPECT_EQ(world->info().preview, w.info.preview);
     EXPECT_EQ(world->info().seed, w.info.seed);
   }
 }

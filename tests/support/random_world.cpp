@@ -171,6 +171,7 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
   w.info.row_total_deviation = 0.25f;
   w.info.target_error = 0.02f;
   w.info.row_error = 0.018f;
+  w.info.preview = 1;
   w.info.area_m2 = 1234.5;
   w.info.triangles = 42;
   w.info.absorbed_fraction = 0.0625;

@@ -115,6 +115,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
                     {"fewest_rays", info.fewest_rays},
                     {"target_error", info.target_error},
                     {"row_error", info.row_error},
+                    {"preview", info.preview != 0},
                     {"samples", info.quanta},
                     {"seed", info.seed},
                     {"bake_key", hexText(info.bake_key)},
@@ -134,6 +135,7 @@ Result<void> inspectInfo(const World& world, const InspectOutput& out) {
   fmt::print(out.to, "world        {}\n", world.path());
   fmt::print(out.to, "scene        {}, {} triangles, {:.6g} m2\n", info.scene, info.triangles, info.area_m2);
   fmt::print(out.to, "baked        by {}, key {}\n", info.generator, hexText(info.bake_key));
+  if (info.preview) fmt::print(out.to, "             as a preview: few large patches, few rays; bake it without --preview to ship it\n");
   fmt::print(out.to, "bounds       {:g} {:g} {:g} to {:g} {:g} {:g} ({:.4g} x {:.4g} x {:.4g} m)\n", info.bounds.lo.x,
              info.bounds.lo.y, info.bounds.lo.z, info.bounds.hi.x, info.bounds.hi.y, info.bounds.hi.z, e.x, e.y, e.z);
   fmt::print(out.to, "settings     cell {:g} m, {} rays a patch, {} samples a row, seed {}\n", info.cell_m, info.rays, info.quanta,

@@ -292,6 +292,7 @@ Result<json> run(const RunOptions& options, const std::function<void(const std::
   if (!context) return context.error();
   const std::string device = runtime::deviceName(**context);
   say("device: " + device);
+  if (world->info().preview) say("a preview (ffbake --preview): few large patches, few rays");
   std::error_code failed;
   std::filesystem::create_directories(options.out_folder, failed);
   if (failed) return Error{ErrorCode::kIo, options.out_folder, "", "cannot be made: " + failed.message(), ""};
