@@ -58,8 +58,31 @@ double distance(const Segment& s, const Segment& t) {
   return std::min({distance(s.a, t), distance(s.b, t), distance(t.a, s), distance(t.b, s)});
 }
 
+namespace {
+
+// Whether the boxes around two polygons are farther apart than the tolerance: most pairs, at once.
+bool areApart(const Polygon& p, const Polygon& q, double tolerance) {
+  for (int a = 0; a < 3; ++a) {
+    const auto range = [a](const Polygon& polygon) {
+      double least = 1e300, most = -1e300;
+      for (const Point& corner : polygon) {
+        least = std::min(least, corner[a]);
+        most = std::max(most, corner[a]);
+      }
+      return std::pair(least - 1e-9, most + 1e-9);  // rounding must not part what touches
+    };
+    const auto [p_least, p_most] = range(p);
+    const auto [q_least, q_most] = range(q);
+    if (q_least - p_most > tolerance || p_least - q_most > tolerance) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
 std::vector<SharedBorder> sharedBorders(const Polygon& p, const Polygon& q, double tolerance) {
   std::vector<SharedBorder> shared;
+  if (areApart(p, q, tolerance)) return shared;
   for (size_t i = 0; i < p.size(); ++i) {
     const Point a = p[i], side = p[(i + 1) % p.size()] - a;
     const double l = length(side);
@@ -91,6 +114,7 @@ bool contains(const Polygon& polygon, Point point, double tolerance) {
 }
 
 bool touches(const Polygon& p, const Polygon& q, double tolerance) {
+  if (areApart(p, q, tolerance)) return false;
   const auto on = [&](const Polygon& corners, const Polygon& border) {
     for (const Point& v : corners)
       for (size_t i = 0; i < border.size(); ++i)
