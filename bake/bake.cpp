@@ -5,12 +5,10 @@
 #include <xxhash.h>
 
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstring>
 #include <memory>
-#include <mutex>
 #include <new>
 #include <optional>
 #include <system_error>
@@ -20,15 +18,15 @@
 #include "bake/cleanup/scene_names.h"
 #include "bake/estimate.h"
 #include "bake/light/form_factor.h"
-#include "bake/matrix/pool.h"
+#include "bake/matrix/patch_rows.h"
 #include "bake/matrix/pyramid.h"
 #include "bake/matrix/row_samples.h"
 #include "bake/matrix/row_sampling.h"
+#include "bake/memory.h"
 #include "bake/not_modelled.h"
 #include "bake/progress_report.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
-#include "bake/release.h"
 #include "bake/spill.h"
 #include "bake/surface/patch_size.h"
 #include "bake/surface/patches.h"
@@ -238,120 +236,6 @@ struct Surface {
   PatchSet set;
 };
 
-// Where rays ended, put aside in the order in which they were cast.
-class PutAside {
- public:
-  PutAside(size_t patches, const std::string& path, uint64_t memory_bytes) : sight(patches), hits_at_(patches), spill_(path, memory_bytes) {}
-
-  // Thread-safe for different patches.
-  void put(uint32_t first, const HitRows& rows) {
-    for (size_t p = 0; p < rows.patches(); ++p) sight[first + p] = sightOf(rows, p);
-    const auto count = [&](size_t patch, uint64_t hits) {
-      std::atomic_ref(hits_at_[patch]).fetch_add(static_cast<uint32_t>(hits), std::memory_order_relaxed);
-    };
-    for (size_t p = 0; p < rows.patches(); ++p) count(first + p, rows.start[p + 1] - rows.start[p]);
-    for (const uint32_t j : rows.column) count(j, 1);
-    Range range{first, spill_.put(encoded(rows))};
-    const std::lock_guard lock(mutex_);
-    ranges_.push_back(std::move(range));
-  }
-
-  size_t ranges() const { return ranges_.size(); }
-  // What put() was given; once for each. Thread-safe for different ones.
-  std::pair<uint32_t, HitRows> take(size_t range) {
-    const Spill::Block block = std::exchange(ranges_[range].block, {});
-    return {ranges_[range].first, decodedHits(spill_.get(block))};
-  }
-  uint64_t spilled() const { return spill_.written(); }
-  // Hits from either end, of a patch.
-  uint32_t hitsAt(size_t patch) const { return hits_at_[patch]; }
-
-  std::vector<PatchSight> sight;  // by patch
-
- private:
-  struct Range {
-    uint32_t first;
-    Spill::Block block;
-  };
-  std::mutex mutex_;
-  std::vector<uint32_t> hits_at_;
-  Spill spill_;
-  std::vector<Range> ranges_;
-};
-
-// First nodes of buckets of whole tiles, with as many hits as memory has room for.
-std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> patch_of, const PutAside& hits, uint64_t bytes) {
-  const std::vector<uint32_t>& tiles = h.tile_start[0];
-  std::vector<uint32_t> start{0};
-  uint64_t in_bucket = 0;
-  for (size_t t = 0; t + 1 < tiles.size(); ++t) {
-    uint64_t in_tile = 0;
-    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) in_tile += hits.hitsAt(patch_of[i]) * HitPool::kBytesAHit;
-    if (tiles[t] > start.back() && in_bucket + in_tile > bytes) {
-      start.push_back(tiles[t]);
-      in_bucket = 0;
-    }
-    in_bucket += in_tile;
-  }
-  start.push_back(tiles.back());
-  return start;
-}
-
-// Fills the rows of level 0; returns what its patches reflect once light has bounced twice. By patch: sun, whole_area.
-std::vector<LightValues> poolPatches(std::span<const Patch> patches, std::span<const uint32_t> patch_of, std::span<const SunLight> sun,
-                                     std::span<const float> whole_area, const Hierarchy& h, std::span<const double> density, PutAside& hits,
-                                     const std::string& path, const BakeSettings& settings, LevelRows& rows, WorkCount& done, uint64_t& spilled) {
-  const std::vector<uint32_t>& tiles = h.tile_start[0];
-  std::vector<LightValues> light(patches.size());
-  {
-    Spill spill(path, spareMemory(settings) / 4);
-    HitPool pool(h.number, whole_area, density, bucketsOf(h, patch_of, hits, spareMemory(settings) / 4), spill);
-    tbb::parallel_for(size_t{0}, hits.ranges(), [&](size_t r) {
-      const auto [first, of_range] = hits.take(r);
-      pool.add(first, of_range);
-      done.add();
-    });
-    giveBackMemory();
-    for (size_t b = 0; b < pool.buckets(); ++b) {
-      const PooledRows pooled = pool.take(b);
-      const auto first = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.first()) - tiles.begin());
-      const auto end = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.end()) - tiles.begin());
-      tbb::parallel_for(first, end, [&](uint32_t t) {
-        std::vector<NodeRow> of_tile(tiles[t + 1] - tiles[t]);
-        for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
-          NodeRow& row = of_tile[i - tiles[t]];
-          const Patch& patch = patches[patch_of[i]];
-          row.node.area_m2 = patch.area_m2;
-          row.node.centroid = patch.centroid;
-          row.node.normal = patch.normal;
-          row.node.albedo = patch.albedo;
-          row.node.emission = patch.emission;
-          row.node.lamp_group = patch.lamp_group;
-          if (h.levels() > 1) row.node.parent = h.parents[0][i];
-          row.bounds = patch.bounds;
-          pooled.row(i, row.row);
-          row.direct = directLight(row.row, patch.area_m2, sun[patch_of[i]]);
-          light[i] = reflectedLight(patch.albedo, patch.area_m2, row.direct, row.row, {});
-        }
-        rows.put(t, tiles[t], of_tile);
-        done.add();
-      });
-    }
-    spilled += spill.written();
-  }
-  giveBackMemory();
-  std::vector<LightValues> bounced(patches.size());
-  tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
-    const std::vector<NodeRow> of_tile = rows.get(t);
-    for (size_t i = 0; i < of_tile.size(); ++i) {
-      const NodeRow& row = of_tile[i];
-      bounced[tiles[t] + i] = reflectedLight(row.node.albedo, row.node.area_m2, row.direct, row.row, light);
-    }
-    done.add();
-  });
-  return bounced;
-}
-
 int threadsOf(const BakeSettings& settings) {
   return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
 }
@@ -404,7 +288,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();
-  PutAside hits(n, path, spareMemory(settings) / 4);
+  PutAside hits(n, path, spareMemory(settings.memory_bytes) / 4);
   {
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
@@ -450,7 +334,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
   uint64_t tiles_total = 0;
   for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
-  Spill rows_aside(path, spareMemory(settings) / 4);
+  Spill rows_aside(path, spareMemory(settings.memory_bytes) / 4);
   std::vector<double> density(n);
   for (size_t i = 0; i < n; ++i) density[hierarchy.number[i]] = hits.sight[i].rays / static_cast<double>(whole_area[i]);
   std::vector<LevelRows> levels;
@@ -459,7 +343,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     ProgressReport report(progress, "pyramid", hits.ranges() + hierarchy.tile_start[0].size() - 1 + tiles_total, settings.stop);
     for (uint32_t l = 0; l < hierarchy.levels(); ++l)
       levels.emplace_back(hierarchy.tile_start[l].size() - 1, l == 0 ? std::span<const double>(density) : std::span<const double>{}, rows_aside);
-    light.push_back(poolPatches(set.patches, patch_of, sun, whole_area, hierarchy, density, hits, path, settings, levels[0], report.count, stats.spilled_bytes));
+    light.push_back(poolPatches({set.patches, whole_area, sun, patch_of, density}, hierarchy, hits, path, settings.memory_bytes, levels[0], report.count, stats.spilled_bytes));
     for (uint32_t l = 1; l < hierarchy.levels(); ++l) light.push_back(gatherClusters(levels[l - 1], light[l - 1], hierarchy, l, levels[l], report.count));
   }
   stats.spilled_bytes += hits.spilled() + rows_aside.written();

@@ -7,12 +7,6 @@
 
 namespace ff::bake {
 
-// Memory that this process may still take, B: what the machine has free, or its control group, whichever is less.
-uint64_t freeMemory();
-
-// What a bake that is under way may still take of settings.memory_bytes, or of what is free where that is 0, B; a little at least.
-uint64_t spareMemory(const BakeSettings& settings);
-
 // From areas and boxes alone, in one pass over the triangles. cell_m: the patch size; 0: as the budget asks.
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings);
 

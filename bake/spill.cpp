@@ -5,8 +5,8 @@
 #include <atomic>
 #include <utility>
 
+#include "bake/memory.h"
 #include "bake/packing.h"
-#include "bake/release.h"
 
 namespace ff::bake {
 namespace {

@@ -3,8 +3,8 @@
 #include <iterator>
 #include <utility>
 
+#include "bake/memory.h"
 #include "bake/packing.h"
-#include "bake/release.h"
 
 namespace ff::bake {
 

@@ -8,8 +8,8 @@
 #include <span>
 #include <vector>
 
+#include "bake/memory.h"
 #include "bake/rays/ray_caster.h"
-#include "bake/release.h"
 #include "bake/scene.h"
 #include "bake/surface/components.h"
 #include "bake/surface/fineness.h"

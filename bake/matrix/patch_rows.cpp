@@ -1,0 +1,107 @@
+#include "bake/matrix/patch_rows.h"
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <utility>
+
+#include "bake/matrix/pool.h"
+#include "bake/memory.h"
+
+namespace ff::bake {
+
+void PutAside::put(uint32_t first, const HitRows& rows) {
+  for (size_t p = 0; p < rows.patches(); ++p) sight[first + p] = sightOf(rows, p);
+  const auto count = [&](size_t patch, uint64_t hits) {
+    std::atomic_ref(hits_at_[patch]).fetch_add(static_cast<uint32_t>(hits), std::memory_order_relaxed);
+  };
+  for (size_t p = 0; p < rows.patches(); ++p) count(first + p, rows.start[p + 1] - rows.start[p]);
+  for (const uint32_t j : rows.column) count(j, 1);
+  Range range{first, spill_.put(encoded(rows))};
+  const std::lock_guard lock(mutex_);
+  ranges_.push_back(std::move(range));
+}
+
+std::pair<uint32_t, HitRows> PutAside::take(size_t range) {
+  const Spill::Block block = std::exchange(ranges_[range].block, {});
+  return {ranges_[range].first, decodedHits(spill_.get(block))};
+}
+
+namespace {
+
+// First nodes of buckets of whole tiles, with as many hits as memory has room for.
+std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> patch_of, const PutAside& hits, uint64_t bytes) {
+  const std::vector<uint32_t>& tiles = h.tile_start[0];
+  std::vector<uint32_t> start{0};
+  uint64_t in_bucket = 0;
+  for (size_t t = 0; t + 1 < tiles.size(); ++t) {
+    uint64_t in_tile = 0;
+    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) in_tile += hits.hitsAt(patch_of[i]) * HitPool::kBytesAHit;
+    if (tiles[t] > start.back() && in_bucket + in_tile > bytes) {
+      start.push_back(tiles[t]);
+      in_bucket = 0;
+    }
+    in_bucket += in_tile;
+  }
+  start.push_back(tiles.back());
+  return start;
+}
+
+}  // namespace
+
+std::vector<LightValues> poolPatches(const PatchRowSource& source, const Hierarchy& h, PutAside& hits, const std::string& path, uint64_t memory_bytes,
+                                     LevelRows& rows, WorkCount& done, uint64_t& spilled) {
+  const std::vector<uint32_t>& tiles = h.tile_start[0];
+  std::vector<LightValues> light(source.patches.size());
+  {
+    Spill spill(path, spareMemory(memory_bytes) / 4);
+    HitPool pool(h.number, source.whole_area, source.density, bucketsOf(h, source.patch_of, hits, spareMemory(memory_bytes) / 4), spill);
+    tbb::parallel_for(size_t{0}, hits.ranges(), [&](size_t r) {
+      const auto [first, of_range] = hits.take(r);
+      pool.add(first, of_range);
+      done.add();
+    });
+    giveBackMemory();
+    for (size_t b = 0; b < pool.buckets(); ++b) {
+      const PooledRows pooled = pool.take(b);
+      const auto first = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.first()) - tiles.begin());
+      const auto end = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.end()) - tiles.begin());
+      tbb::parallel_for(first, end, [&](uint32_t t) {
+        std::vector<NodeRow> of_tile(tiles[t + 1] - tiles[t]);
+        for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
+          NodeRow& row = of_tile[i - tiles[t]];
+          const uint32_t p = source.patch_of[i];
+          const Patch& patch = source.patches[p];
+          row.node.area_m2 = patch.area_m2;
+          row.node.centroid = patch.centroid;
+          row.node.normal = patch.normal;
+          row.node.albedo = patch.albedo;
+          row.node.emission = patch.emission;
+          row.node.lamp_group = patch.lamp_group;
+          if (h.levels() > 1) row.node.parent = h.parents[0][i];
+          row.bounds = patch.bounds;
+          pooled.row(i, row.row);
+          row.direct = directLight(row.row, patch.area_m2, source.sun[p]);
+          light[i] = reflectedLight(patch.albedo, patch.area_m2, row.direct, row.row, {});
+        }
+        rows.put(t, tiles[t], of_tile);
+        done.add();
+      });
+    }
+    spilled += spill.written();
+  }
+  giveBackMemory();
+  std::vector<LightValues> bounced(source.patches.size());
+  tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
+    const std::vector<NodeRow> of_tile = rows.get(t);
+    for (size_t i = 0; i < of_tile.size(); ++i) {
+      const NodeRow& row = of_tile[i];
+      bounced[tiles[t] + i] = reflectedLight(row.node.albedo, row.node.area_m2, row.direct, row.row, light);
+    }
+    done.add();
+  });
+  return bounced;
+}
+
+}  // namespace ff::bake

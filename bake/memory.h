@@ -1,0 +1,22 @@
+// What memory there is, and how what is needed no more goes back to the system, so that it does not count as the bake's.
+#pragma once
+#include <cstdint>
+
+namespace ff::bake {
+
+// Memory that this process may still take, B: what the machine has free, or its control group, whichever is less.
+uint64_t freeMemory();
+
+// What it may still take of limit_bytes, or of what is free where that is 0, B; a little at least.
+uint64_t spareMemory(uint64_t limit_bytes);
+
+// Empties a container and gives its memory back. (`v = {}` keeps it: that assigns a list of no elements.)
+template <class Container>
+void release(Container& c) {
+  Container().swap(c);
+}
+
+// What was freed in small pieces as well. Takes a few milliseconds a GB.
+void giveBackMemory();
+
+}  // namespace ff::bake
