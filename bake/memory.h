@@ -16,7 +16,7 @@ void release(Container& c) {
   Container().swap(c);
 }
 
-// What was freed in small pieces as well. Takes a few milliseconds a GB.
+// What was freed in small pieces as well.
 void giveBackMemory();
 
 }  // namespace ff::bake

@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <new>
 #include <utility>
 
 #include "bake/memory.h"
@@ -17,17 +18,12 @@ std::string ownName(const std::string& path) {
   return path + ".spill." + std::to_string(getpid()) + "-" + std::to_string(made++);
 }
 
-template <class T>
-T orThrow(Result<T> result) {
-  if (!result) {
-    Error error = result.error();
-    error.remedy = "make room on that disk, or give more --memory";
-    throw SpillFailed{std::move(error)};
-  }
-  return std::move(*result);
-}
-void orThrow(Result<void> result) {
-  if (!result) (void)orThrow(Result<int>(result.error()));
+template <class Result>
+Result orThrow(Result result) {
+  if (result) return result;
+  Error error = result.error();
+  error.remedy = "make room on that disk, or give more --memory";
+  throw SpillFailed{std::move(error)};
 }
 
 }  // namespace
@@ -38,6 +34,7 @@ Spill::Spill(std::string path, uint64_t memory_bytes, formats::StoragePtr storag
 Spill::Block Spill::put(std::span<const std::byte> raw) {
   Block block;
   block.held = packed(raw);
+  if (block.held.empty()) throw std::bad_alloc();
   block.bytes = raw.size();
   block.packed_bytes = block.held.size();
   const std::lock_guard lock(mutex_);
@@ -47,11 +44,11 @@ Spill::Block Spill::put(std::span<const std::byte> raw) {
     return block;
   }
   if (!in_) {
-    out_ = orThrow(storage_->create(path_));
-    in_ = orThrow(storage_->open(path_));
-    orThrow(storage_->remove(path_));
+    out_ = std::move(*orThrow(storage_->create(path_)));
+    in_ = std::move(*orThrow(storage_->open(path_)));
+    (void)orThrow(storage_->remove(path_));
   }
-  orThrow(out_->append(block.held));
+  (void)orThrow(out_->append(block.held));
   release(block.held);
   block.at = std::exchange(written_, written_ + block.packed_bytes);
   return block;
@@ -61,7 +58,7 @@ std::vector<std::byte> Spill::get(const Block& block) const {
   std::vector<std::byte> read;
   if (block.at != Block::kHeld) {
     read.resize(block.packed_bytes);
-    orThrow(in_->read(block.at, read));
+    (void)orThrow(in_->read(block.at, read));
   }
   auto raw = unpacked(block.at == Block::kHeld ? block.held : read, block.bytes);
   if (!raw) throw SpillFailed{{ErrorCode::kIo, path_, "offset " + std::to_string(block.at), "what was put aside is damaged", "check that disk"}};

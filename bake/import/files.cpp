@@ -118,13 +118,6 @@ class Joiner {
   std::vector<std::array<uint8_t, 16>> hashes_;
 };
 
-}  // namespace
-
-namespace {
-
-// Appends the scene files that `path` stands for. Throws gltf::ImportError, of a list that is wrong.
-Result<void> addFiles(const std::string& path, const gltf::Matrix& placed, std::vector<SceneFile>& files);
-
 Result<void> addFolder(const std::string& folder, const gltf::Matrix& placed, std::vector<SceneFile>& files) {
   const auto names = formats::posixStorage()->list(folder);
   if (!names) return names.error();
@@ -135,6 +128,14 @@ Result<void> addFolder(const std::string& folder, const gltf::Matrix& placed, st
   return {};
 }
 
+Result<void> addFiles(const std::string& path, const gltf::Matrix& placed, std::vector<SceneFile>& files) {
+  std::error_code unknown;
+  if (std::filesystem::is_directory(path, unknown)) return addFolder(path, placed, files);
+  files.push_back({path, placed});
+  return {};
+}
+
+// Throws gltf::ImportError where the list is wrong.
 Result<void> addList(const std::string& list, std::vector<SceneFile>& files) {
   const auto bytes = formats::readWholeFile(*formats::posixStorage(), list);
   if (!bytes) return bytes.error();
@@ -158,13 +159,6 @@ Result<void> addList(const std::string& list, std::vector<SceneFile>& files) {
     if (!(std::abs(gltf::determinant(placed)) > 0)) gltf::refuse(place, "its scale is zero", "give another");
     if (auto ok = addFiles(path.starts_with('/') ? path : formats::folderOf(list) + path, placed, files); !ok) return ok;
   }
-  return {};
-}
-
-Result<void> addFiles(const std::string& path, const gltf::Matrix& placed, std::vector<SceneFile>& files) {
-  std::error_code unknown;
-  if (std::filesystem::is_directory(path, unknown)) return addFolder(path, placed, files);
-  files.push_back({path, placed});
   return {};
 }
 

@@ -41,6 +41,24 @@ HitRows joined(std::vector<HitRows> ranges) {
   return all;
 }
 
+void putLamps(formats::ByteWriter& out, std::span<const LampIrradiance> lamps) {
+  putVarint(out, lamps.size());
+  for (const LampIrradiance& lamp : lamps) {
+    out.u16(lamp.group);
+    for (const double x : lamp.rgb) out.f64(x);
+  }
+}
+
+std::vector<LampIrradiance> takeLamps(formats::ByteReader& in) {
+  std::vector<LampIrradiance> lamps;
+  for (uint64_t left = takeVarint(in); left > 0 && in.ok(); --left) {
+    LampIrradiance& lamp = lamps.emplace_back();
+    in.u16(lamp.group);
+    for (double& x : lamp.rgb) in.f64(x);
+  }
+  return lamps;
+}
+
 void putSeen(formats::ByteWriter& out, const HitRows& rows) {
   out.u32(static_cast<uint32_t>(rows.patches()));
   putValues(out, rows.rays);
@@ -49,13 +67,7 @@ void putSeen(formats::ByteWriter& out, const HitRows& rows) {
   putValues(out, rows.sky_fraction);
   putValues(out, rows.sky_means);
   putValues(out, rows.narrow);
-  for (const auto& lamps : rows.lamps) {
-    putVarint(out, lamps.size());
-    for (const LampIrradiance& lamp : lamps) {
-      out.u16(lamp.group);
-      for (const double x : lamp.rgb) out.f64(x);
-    }
-  }
+  for (const auto& lamps : rows.lamps) putLamps(out, lamps);
 }
 
 bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& rows) {
@@ -69,15 +81,7 @@ bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& 
   takeValues(in, raw, n, rows.narrow);
   if (!in.ok()) return false;
   rows.lamps.resize(n);
-  for (auto& lamps : rows.lamps) {
-    const uint64_t groups = takeVarint(in);
-    for (uint64_t k = 0; k < groups && in.ok(); ++k) {
-      LampIrradiance lamp;
-      in.u16(lamp.group);
-      for (double& x : lamp.rgb) in.f64(x);
-      lamps.push_back(lamp);
-    }
-  }
+  for (auto& lamps : rows.lamps) lamps = takeLamps(in);
   return in.ok();
 }
 

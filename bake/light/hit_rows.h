@@ -39,6 +39,15 @@ inline float exposedFraction(const HitRows& rows, size_t patch) { return exposed
 // Rows of ranges that follow each other as those of one.
 HitRows joined(std::vector<HitRows> ranges);
 
+// Of a reader or a writer alike.
+template <class Bytes, class Means>
+void skyFields(Bytes& b, Means& means) {
+  b.vec3(means.direction);
+  for (auto& x : means.quadratic) b.f32(x);
+}
+void putLamps(formats::ByteWriter& out, std::span<const LampIrradiance> lamps);
+std::vector<LampIrradiance> takeLamps(formats::ByteReader& in);
+
 // All but where rays hit (start, column and count).
 void putSeen(formats::ByteWriter& out, const HitRows& rows);
 // raw: what `in` reads. False where it is not what putSeen() writes.

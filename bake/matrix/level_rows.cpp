@@ -9,7 +9,7 @@ namespace {
 
 using formats::ByteReader, formats::ByteWriter;
 
-// All of a node but its row's columns, of a reader or a writer alike.
+// All of a node but its row's lamps and columns, of a reader or a writer alike.
 template <class Bytes, class NodeRowT>
 void fields(Bytes& b, NodeRowT& n) {
   b.f32(n.node.area_m2);
@@ -23,12 +23,7 @@ void fields(Bytes& b, NodeRowT& n) {
   for (auto& x : n.direct) b.f32(x);
   b.f64(n.row.sky_m2);
   b.f64(n.row.absorbed_m2);
-  b.vec3(n.row.sky_means.direction);
-  for (auto& x : n.row.sky_means.quadratic) b.f32(x);
-  for (auto& lamp : n.row.lamps) {
-    b.u16(lamp.group);
-    for (auto& x : lamp.rgb) b.f64(x);
-  }
+  skyFields(b, n.row.sky_means);
 }
 
 }  // namespace
@@ -38,7 +33,7 @@ void LevelRows::put(uint32_t tile, uint32_t first_node, std::span<const NodeRow>
   putVarint(out, rows.size());
   for (size_t i = 0; i < rows.size(); ++i) {
     const ExchangeRow& row = rows[i].row;
-    putVarint(out, row.lamps.size());
+    putLamps(out, row.lamps);
     fields(out, rows[i]);
     putVarint(out, row.column.size());
     const size_t node = first_node + i;
@@ -58,7 +53,7 @@ std::vector<NodeRow> LevelRows::get(uint32_t tile) const {
   std::vector<NodeRow> rows(takeVarint(in));
   for (size_t i = 0; i < rows.size(); ++i) {
     ExchangeRow& row = rows[i].row;
-    row.lamps.resize(takeVarint(in));
+    row.lamps = takeLamps(in);
     fields(in, rows[i]);
     const size_t node = tile_[tile].first_node + i;
     row.column.resize(takeVarint(in));

@@ -75,13 +75,11 @@ void HitPool::add(uint32_t first_patch, const HitRows& rows) {
       putVarint(out, node - bucket_start_[b]);
       out.f64(static_cast<double>(rows.sky_fraction[p]) * whole);
       out.f64(rows.absorbed[p] / density_[node]);
-      out.vec3(rows.sky_means[p].direction);
-      for (const float x : rows.sky_means[p].quadratic) out.f32(x);
-      putVarint(out, rows.lamps[p].size());
-      for (const LampIrradiance& lamp : rows.lamps[p]) {
-        out.u16(lamp.group);
-        for (const double x : lamp.rgb) out.f64(x * whole);
-      }
+      skyFields(out, rows.sky_means[p]);
+      std::vector<LampIrradiance> lamps = rows.lamps[p];
+      for (LampIrradiance& lamp : lamps)
+        for (double& x : lamp.rgb) x *= whole;
+      putLamps(out, lamps);
     }
     putRuns(out, parcel.hits, bucket_start_[b]);
     Spill::Block block = spill_.put(out.data());
@@ -106,13 +104,8 @@ PooledRows HitPool::take(size_t bucket) {
       PooledRows::Ends& ends = pooled.ends_[takeVarint(in)];  // of one block alone
       in.f64(ends.sky_m2);
       in.f64(ends.absorbed_m2);
-      in.vec3(ends.sky_means.direction);
-      for (float& x : ends.sky_means.quadratic) in.f32(x);
-      ends.lamps.resize(takeVarint(in));
-      for (LampIrradiance& lamp : ends.lamps) {
-        in.u16(lamp.group);
-        for (double& x : lamp.rgb) in.f64(x);
-      }
+      skyFields(in, ends.sky_means);
+      ends.lamps = takeLamps(in);
     }
     std::vector<PooledRows::Hits>& hits = pooled.hits_[k];
     hits.reserve(takeVarint(in));

@@ -22,7 +22,7 @@ class Labeller {
   Labeller(std::span<const Piece> pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed,
            WorkCount* done)
       : pieces_(pieces), sides_(sides), crumb_(crumb), fences_(fences), sealed_(sealed), done_(done), root_(sides.size()),
-        kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()), box_(sides.size()) {}
+        kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()) {}
 
   Labels label() {
     for (size_t i = 0; i < sides_.size(); ++i)
@@ -31,7 +31,6 @@ class Labeller {
     place_start_.push_back(sides_.size());
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { connect(place_start_[g], place_start_[g + 1]); });
     listMembers();
-    tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) { box_[i] = around(piece(i).polygon); });
     if (done_) done_->expect(sides_.size());
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       judge(i);
@@ -61,21 +60,6 @@ class Labeller {
  private:
   enum class Kind : uint8_t { kNone, kWhole, kCrumb, kSealed };  // kNone: not a root
   static constexpr uint32_t kNobody = 0xffffffff;
-
-  // A little wider than the points, by more than borders that are one may be apart.
-  static Box around(std::span<const Point> points) {
-    Box box;
-    for (const Point& p : points) box.add(vec3Of(p));
-    for (int a = 0; a < 3; ++a) {
-      const float slack = static_cast<float>(kBorderCells) + 0x1p-22f * std::max(std::abs(box.lo[a]), std::abs(box.hi[a]));
-      box.lo[a] -= slack;
-      box.hi[a] += slack;
-    }
-    return box;
-  }
-  static bool areApart(const Box& a, const Box& b) {
-    return a.hi.x < b.lo.x || b.hi.x < a.lo.x || a.hi.y < b.lo.y || b.hi.y < a.lo.y || a.hi.z < b.lo.z || b.hi.z < a.lo.z;
-  }
 
   const Piece& piece(size_t i) const { return pieces_[sides_[i].piece]; }
   double crumbOf(size_t i) const { return crumb_ * faceCells(piece(i).fineness); }  // in base cells' faces
@@ -211,12 +195,8 @@ class Labeller {
     place.in_cell = placeInBaseCell(cell, place.fineness);
     const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
     const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
-    const Polygon& polygon = piece(crumb_side).polygon;
-    const std::array<Point, 2> ends{polygon[border], polygon[(border + 1) % polygon.size()]};
-    const Box near = around(ends);
     for (auto s = first; s != last; ++s) {
       const auto j = static_cast<size_t>(s - sides_.begin());
-      if (areApart(box_[j], near)) continue;
       const uint32_t to = kind_[root_[j]] == Kind::kWhole ? root_[j] : host[root_[j]];
       if (to == kNobody) continue;
       for (const SharedBorder& shared : sharedBorders(piece(crumb_side).polygon, piece(j).polygon, kBorderCells)) {
@@ -331,7 +311,6 @@ class Labeller {
   std::vector<uint8_t> parted_;          // a fence stands between it and a neighbour
   std::vector<double> area_;
   std::vector<Point> centre_;
-  std::vector<Box> box_;                 // per side
   std::vector<uint32_t> first_, member_;  // sides by component
 };
 

@@ -6,7 +6,6 @@
 #define OMPI_SKIP_MPICXX 1
 #include <mpi.h>
 
-#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -97,17 +96,17 @@ class OpenMpi final : public MpiRanks {
   bool answerOne() {
     int there = 0;
     MPI_Status status;
-    std::array<uint32_t, 1> done{};
+    uint32_t done = 0;
     {
       const std::lock_guard lock(mpi_);
       if (MPI_Iprobe(MPI_ANY_SOURCE, kAsk, MPI_COMM_WORLD, &there, &status) != MPI_SUCCESS || !there) return false;
-      if (MPI_Recv(done.data(), 1, MPI_UINT32_T, status.MPI_SOURCE, kAsk, MPI_COMM_WORLD, MPI_STATUS_IGNORE) != MPI_SUCCESS) return false;
+      if (MPI_Recv(&done, 1, MPI_UINT32_T, status.MPI_SOURCE, kAsk, MPI_COMM_WORLD, MPI_STATUS_IGNORE) != MPI_SUCCESS) return false;
     }
     uint32_t unit = bake::kNoUnit;
     {
       const std::lock_guard lock(serving_);
-      if (!ended_ && done[0] != kFailed) {
-        if (done[0] != bake::kNoUnit) done_(done[0]);
+      if (!ended_ && done != kFailed) {
+        if (done != bake::kNoUnit) done_(done);
         unit = next_();
       }
       if (unit == bake::kNoUnit) told_.insert(status.MPI_SOURCE);
