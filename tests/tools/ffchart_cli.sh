@@ -8,6 +8,7 @@ expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --target-
 grep -q '^cheapest with error <= 50 %: ' out.txt || fail "no answer: $(cat out.txt)"
 for f in accuracy.html accuracy.csv speed-accuracy-sun-and-sky.svg speed-accuracy-lamps.svg; do [ -s "a/$f" ] || fail "no a/$f"; done
 ls a/worlds/*.settings.json >/dev/null || fail "the answer is not beside the world"
+cp a/accuracy.csv first.csv
 expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings --eyes town.json --json
 grep -q '^cheapest with error <= 3 %: ' err.txt || fail "people are not told on stderr"
 python3 - <<'PY' || fail "the JSON is wrong, or not what the table says"
@@ -70,8 +71,6 @@ for r in default.values():  # a small town: a few per cent end to end, far less 
 seed = [r for r in rows if r["setting"].startswith("seed") and r["light"] == "lamps"]
 assert float(seed[0]["rel_l2"]) > float(default["lamps"]["rel_l2"]), "the baseline beats the default"
 PY
-cp a/accuracy.csv first.csv
-expect 0 "$ffchart" town.glb -o a --patch-size 1 --quick --observers 3 --keep-settings
 python3 - <<'PY' || fail "two runs differ"
 import csv
 times = {"relight_ms", "relight_ms_error", "update_ms_per_tile", "memory_bytes", "bake_seconds", "on_front"}

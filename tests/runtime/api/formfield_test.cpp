@@ -13,7 +13,7 @@ namespace ff::runtime {
 namespace {
 
 // Any function of the node will do, as long as the other side can repeat it.
-Vec3 directAt(uint32_t level, uint32_t node) {
+Vec3 directLightOf(uint32_t level, uint32_t node) {
   return {static_cast<float>((node * 7 + level) % 11), static_cast<float>(node % 5), 1};
 }
 
@@ -23,12 +23,12 @@ void directLight(void* user, uint32_t level, uint32_t, uint32_t first_node, uint
   for (uint32_t i = 0; i < nodes; ++i) {
     EXPECT_EQ(irradiance[3 * i], 0.0f);
     EXPECT_GT(node[i].area_m2, 0.0f);
-    const Vec3 e = directAt(level, first_node + i);
+    const Vec3 e = directLightOf(level, first_node + i);
     for (int c = 0; c < 3; ++c) irradiance[3 * i + static_cast<uint32_t>(c)] = e[c];
   }
 }
 
-constexpr FormfieldSky kSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
+constexpr FormfieldSky kBlueSky{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}, {}};
 
 class Formfield : public testing::Test {
  protected:
@@ -45,7 +45,7 @@ class Formfield : public testing::Test {
   void open() {
     ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings_, &world_), FORMFIELD_OK)
         << formfieldError(device_);
-    ASSERT_EQ(formfieldSetSky(world_, &kSky), FORMFIELD_OK);
+    ASSERT_EQ(formfieldSetSky(world_, &kBlueSky), FORMFIELD_OK);
     ASSERT_EQ(formfieldSetDirectLight(world_, directLight, &asked_), FORMFIELD_OK);
   }
   void frame(Vec3 at) {
@@ -82,7 +82,7 @@ TEST_F(Formfield, GivesTheLightOfTheRuntimeBeneath) {
   ASSERT_TRUE(updater.setSky({{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.2f, 0, 0.4f}}}));
   updater.setDirectLight([&](formats::TileId id, std::span<Vec3> out) {
     for (uint32_t i = 0; i < out.size(); ++i)
-      out[i] = directAt(id.level, test_.world().tiles(id.level)[id.tile].first_node + i);
+      out[i] = directLightOf(id.level, test_.world().tiles(id.level)[id.tile].first_node + i);
   });
   ASSERT_TRUE(updater.frame({30, 1, 30}, {}, 1));
   ASSERT_TRUE(streamer->settle());
@@ -260,7 +260,7 @@ TEST_F(Formfield, DirectLightBySlotIsAsGoodAsByCallback) {
   const FormfieldTile* const tile = formfieldTiles(world_, &tiles, nullptr);
   for (uint32_t t = 0; t < tiles; ++t) {
     std::vector<Vec3> light;
-    for (uint32_t i = 0; i < tile[t].nodes; ++i) light.push_back(directAt(tile[t].level, tile[t].first_node + i));
+    for (uint32_t i = 0; i < tile[t].nodes; ++i) light.push_back(directLightOf(tile[t].level, tile[t].first_node + i));
     ASSERT_EQ(formfieldSetDirectIrradiance(world_, tile[t].first_slot, tile[t].nodes, &light[0].x), FORMFIELD_OK);
   }
   frame({30, 1, 30});
@@ -299,7 +299,7 @@ TEST_P(FormfieldWalk, AllocatesAndFreesNothingOnTheCallersThread) {
     const MemoryCalls before = memoryCalls();
     frame(at);
     if (i % 50 == 0) formfieldLightChanged(world_);
-    if (i % 30 == 0) formfieldSetSky(world_, &kSky);
+    if (i % 30 == 0) formfieldSetSky(world_, &kBlueSky);
     if (i % 10 == 0) {
       const float point[6] = {at.x + 1, 2, at.z, at.x, 3, at.z - 1}, normal[6] = {0, 1, 0, 0.6f, 0, 0.8f};
       float irradiance[6];
@@ -359,7 +359,7 @@ TEST_F(Formfield, SamplesFollowTheLight) {
   // sky alone, whose closed form is pi (l0 + 2/3 l1.y).
   EXPECT_GT(below.x, 0.5f);
   for (int c = 0; c < 3; ++c)
-    EXPECT_NEAR(above[c], 3.14159265f * (kSky.radiance[c] + kSky.gradient[c][1] * 2 / 3), 0.01f * above[c]);
+    EXPECT_NEAR(above[c], 3.14159265f * (kBlueSky.radiance[c] + kBlueSky.gradient[c][1] * 2 / 3), 0.01f * above[c]);
   EXPECT_EQ(stats().probes_traced, 2u);
   ASSERT_EQ(formfieldSample(world_, 1, point, down, &below.x), FORMFIELD_OK);
   EXPECT_EQ(stats().probes_remembered, 1u);

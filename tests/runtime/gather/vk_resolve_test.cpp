@@ -16,7 +16,7 @@
 namespace ff::runtime {
 namespace {
 
-const VulkanGatherSettings kSmallRoom{
+const VulkanGatherSettings kFewSlots{
     .slots = 4096, .tiles = 512, .pages = 1024, .packed_bytes = 2 << 20, .entry_bytes = 2 << 20};
 
 std::vector<Vec4> lightOf(const LocalMatrix& m, uint64_t seed) {
@@ -70,7 +70,7 @@ TEST_F(VkResolve, FindsTheAssemblersEntriesBitForBitThroughEveryChangeOfTheCut) 
   for (const FarLight far_light : {FarLight::kPyramid, FarLight::kConstant}) {
     const TestWorld test({.side = 16, .tile_nodes = 24, .equal_areas = false, .seed = 5});
     MatrixAssembler assembler(test.world(), far_light);
-    const auto solver = make(kSmallRoom);
+    const auto solver = make(kFewSlots);
     ASSERT_TRUE(solver);
     for (uint64_t step = 0; step < 8; ++step) {
       SCOPED_TRACE(step);
@@ -85,7 +85,7 @@ TEST_F(VkResolve, FindsTheAssemblersEntriesBitForBitThroughEveryChangeOfTheCut) 
 TEST_F(VkResolve, CarriesLightOverEveryChangeAsTheCpuDoes) {
   const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 6});
   MatrixAssembler assembler(test.world());
-  const auto vulkan = make(kSmallRoom);
+  const auto vulkan = make(kFewSlots);
   ASSERT_TRUE(vulkan);
   const auto cpu = makeCpuGather(1);
   for (uint64_t step = 0; step < 12; ++step) {
@@ -109,7 +109,7 @@ TEST_F(VkResolve, CarriesLightOverEveryChangeAsTheCpuDoes) {
 TEST_F(VkResolve, UploadsOnlyWhatEntered) {
   const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 7});
   MatrixAssembler assembler(test.world());
-  const auto solver = make(kSmallRoom);
+  const auto solver = make(kFewSlots);
   ASSERT_TRUE(solver);
   Cut cut = test.randomCut(1.0, 1);
   ASSERT_TRUE(assembler.update(cut));
@@ -138,7 +138,7 @@ TEST_F(VkResolve, SurvivesFragmentedRoomAndSeveralSegments) {
   const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 8});
   constexpr uint64_t kSteps = 12;
   const auto cutAt = [&](uint64_t step) { return test.randomCut(0.8 + 0.05 * static_cast<double>(step % 4), step); };
-  VulkanGatherSettings tight = kSmallRoom;
+  VulkanGatherSettings tight = kFewSlots;
   uint64_t most = 0;
   {
     MatrixAssembler assembler(test.world());
@@ -192,7 +192,7 @@ TEST_F(VkResolve, SurvivesFragmentedRoomAndSeveralSegments) {
 TEST_F(VkResolve, RecordsFramesIntoTheCallersCommandBuffers) {
   const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 9});
   MatrixAssembler assembler(test.world());
-  const auto vulkan = make(kSmallRoom);
+  const auto vulkan = make(kFewSlots);
   ASSERT_TRUE(vulkan);
   const auto cpu = makeCpuGather(1);
   constexpr uint32_t kFrames = 2;
@@ -254,7 +254,7 @@ TEST_F(VkResolve, GivesTheSameBitsEveryTime) {
   std::vector<Vec4> first;
   for (int repeat = 0; repeat < 20; ++repeat) {
     MatrixAssembler assembler(test.world());
-    const auto solver = make(kSmallRoom);
+    const auto solver = make(kFewSlots);
     ASSERT_TRUE(solver);
     for (uint64_t step = 0; step < 3; ++step) {
       ASSERT_TRUE(assembler.update(test.randomCut(0.6, step)));

@@ -14,7 +14,7 @@
 namespace ff::runtime {
 namespace {
 
-std::shared_ptr<const LocalMatrix> build(const TestWorld& test, const Cut& cut) {
+std::shared_ptr<const LocalMatrix> solverMatrix(const TestWorld& test, const Cut& cut) {
   auto built = buildLocalMatrix(test.world(), cut);
   EXPECT_TRUE(built) << built.error().line();
   return std::make_shared<const LocalMatrix>(std::move(*built));
@@ -108,7 +108,7 @@ TEST(CpuGather, AgreesWithANaiveDoublePrecisionReferenceOnRandomCuts) {
     const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false, .seed = seed});
     for (const double chance : {0.0, 0.4, 0.8, 1.0}) {
       const Cut cut = test.randomCut(chance, seed);
-      const auto matrix = build(test, cut);
+      const auto matrix = solverMatrix(test, cut);
       const std::vector<Vec4> source = randomSource(matrix->slots(), seed);
       for (const int k : {1, 2, 7}) {
         const auto solver = makeCpuGather(2);
@@ -120,7 +120,7 @@ TEST(CpuGather, AgreesWithANaiveDoublePrecisionReferenceOnRandomCuts) {
 
 TEST(CpuGather, GivesTheSameBitsForEveryNumberOfThreads) {
   const TestWorld test({.side = 64, .tile_nodes = 200, .quanta = 200, .seed = 5});
-  const auto matrix = build(test, test.randomCut(1, 2));
+  const auto matrix = solverMatrix(test, test.randomCut(1, 2));
   ASSERT_GT(matrix->entries.size(), 5u * 16384u) << "too small to be divided";
   const std::vector<Vec4> source = randomSource(matrix->slots(), 1);
   const std::vector<Vec4> one = solve(*makeCpuGather(1), matrix, source, 9);
@@ -138,7 +138,7 @@ TEST(CpuGather, VectorAndPortableKernelsAgree) {
   const GatherKernel fast = gatherAvx2();
   if (!fast) GTEST_SKIP() << "no AVX2 on this machine: the portable kernel is the only one";
   const TestWorld test({.side = 32, .tile_nodes = 60, .seed = 5});
-  const auto matrix = build(test, test.randomCut(0.8, 2));
+  const auto matrix = solverMatrix(test, test.randomCut(0.8, 2));
   const std::vector<Vec4> source = randomSource(matrix->slots(), 1), from = randomSource(matrix->slots(), 2);
   std::vector<Vec4> a(matrix->slots()), b(matrix->slots());
   GatherJob job{matrix->row_start.data(),
@@ -175,7 +175,7 @@ TEST(CpuGather, AClosedBoxOfUniformLightHasTheFurnaceRadiosityOnEveryCut) {
   for (const float rho : {0.5f, 0.9f}) {
     const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = rho, .seed = 2});
     for (const double chance : {0.0, 0.5, 1.0}) {
-      const auto matrix = build(test, test.randomCut(chance, 3));
+      const auto matrix = solverMatrix(test, test.randomCut(chance, 3));
       const std::vector<Vec4> source(matrix->slots(), Vec4{1, 2, 3, 0});
       // rho^400 < 1e-18: converged. Left is fp32 rounding (kRoundingTolerance).
       const std::vector<Vec4> b = solve(*makeCpuGather(2), matrix, source, 400);
@@ -196,7 +196,7 @@ TEST(CpuGather, AClosedBoxOfUniformLightHasTheFurnaceRadiosityOnEveryCut) {
 // sqrt(2 (1 - rho)), 50, and as many again to learn how slowly light decays and to start anew with each call.
 TEST(CpuGather, ApproachSettlesAClosedBoxInAFourthOfTheSteps) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = 0.98f, .seed = 2});
-  const auto matrix = build(test, test.randomCut(0.5, 3));
+  const auto matrix = solverMatrix(test, test.randomCut(0.5, 3));
   const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
   const std::vector<Vec4> settled = solve(*makeCpuGather(2), matrix, source, 3000);
   const auto error = [&](std::span<const Vec4> b) {
@@ -225,7 +225,7 @@ TEST(CpuGather, ApproachSettlesAClosedBoxInAFourthOfTheSteps) {
 // 1000 times the light: Jacobi would need 10,000 steps.
 TEST(CpuGather, ApproachSettlesAFurnaceThatKeepsAllButAThousandth) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = 0.999f, .seed = 2});
-  const auto matrix = build(test, test.randomCut(0.5, 3));
+  const auto matrix = solverMatrix(test, test.randomCut(0.5, 3));
   const auto solver = makeCpuGather(2);
   std::vector<Vec4> b = solve(*solver, matrix, std::vector<Vec4>(matrix->slots(), Vec4{1, 2, 3, 0}), 0);
   for (int calls = 0; calls < 8; ++calls) {
@@ -249,7 +249,7 @@ TEST(CpuGather, ApproachEndsWhereIterationsEndOnAnyCutAndAlbedo) {
   for (const float rho : {0.2f, 0.7f, 0.95f})
     for (const double chance : {0.0, 0.4, 1.0}) {
       const TestWorld test({.side = 16, .tile_nodes = 12, .albedo = rho, .seed = 5});
-      const auto matrix = build(test, test.randomCut(chance, 6));
+      const auto matrix = solverMatrix(test, test.randomCut(chance, 6));
       const std::vector<Vec4> source = randomSource(matrix->slots(), 7);
       const std::vector<Vec4> settled = solve(*makeCpuGather(2), matrix, source, 600);
       const auto solver = makeCpuGather(2);
@@ -266,7 +266,7 @@ TEST(CpuGather, ApproachEndsWhereIterationsEndOnAnyCutAndAlbedo) {
 
 TEST(CpuGather, AWarmStartFromTheSolutionStaysThere) {
   const TestWorld test({.side = 16, .tile_nodes = 12});
-  const auto matrix = build(test, test.randomCut(0.6, 3));
+  const auto matrix = solverMatrix(test, test.randomCut(0.6, 3));
   const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
   const auto solver = makeCpuGather(2);
   const std::vector<Vec4> settled = solve(*solver, matrix, source, 400);
@@ -306,7 +306,7 @@ TEST(FullSolve, GivesTheSameBitsForEveryNumberOfThreads) {
 
 TEST(CpuGather, WithEveryTileActiveEqualsTheFullSolve) {
   const TestWorld test({.side = 32, .tile_nodes = 60, .equal_areas = false, .seed = 6});
-  const auto matrix = build(test, test.randomCut(1, 1));
+  const auto matrix = solverMatrix(test, test.randomCut(1, 1));
   const uint32_t patches = test.world().levels()[0].nodes;
   const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
   std::vector<double> full_source;
@@ -325,14 +325,14 @@ TEST(CpuGather, ACoarseCutGathersTheExactMeanOfThePatchesFirstBounce) {
   // With equal areas and one albedo a cluster's row is the exact mean of its patches' rows. Where M is constant within
   // clusters, the first bounce F M is then the same at both levels (the second is not: B varies within a cluster).
   const TestWorld test({.side = 32, .tile_nodes = 60, .albedo = 0.5f, .seed = 6});
-  const auto coarse = build(test, test.randomCut(0, 1));  // the top level alone
+  const auto coarse = solverMatrix(test, test.randomCut(0, 1));  // the top level alone
   std::mt19937_64 random(3);
   std::vector<Vec4> source(coarse->slots());
   for (Vec4& s : source) s = {static_cast<float>(random() % 100), static_cast<float>(random() % 10), 1, 0};
   const std::vector<Vec4> one_bounce = solve(*makeCpuGather(1), coarse, source, 2);
 
   // The same two iterations on the patches, each emitting as its top cluster does.
-  const auto fine = build(test, test.randomCut(1, 1));
+  const auto fine = solverMatrix(test, test.randomCut(1, 1));
   std::vector<Vec4> fine_source(fine->slots());
   for (uint32_t i = 0; i < test.world().levels()[0].nodes; ++i) {
     uint32_t node = i;
@@ -403,7 +403,7 @@ TEST(Fallback, TheSolverThatFailsStaysUntilTheEndAndIsAskedNoMore) {
     bool& gone_;
   };
   const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 3});
-  const auto matrix = build(test, test.randomCut(0.5, 1));
+  const auto matrix = solverMatrix(test, test.randomCut(0.5, 1));
   const std::vector<Vec4> source = randomSource(matrix->slots(), 1);
   int calls = 0;
   bool gone = false;

@@ -64,7 +64,7 @@ void expectSame(const std::vector<Vec4>& a, const std::vector<Vec4>& b) {
 }
 
 // An engine: makes its own instance, device and queue, and keeps using them.
-struct Engine {
+struct EngineDevice {
   VkInstance instance = VK_NULL_HANDLE;
   VkPhysicalDevice physical = VK_NULL_HANDLE;
   VkDevice device = VK_NULL_HANDLE;
@@ -95,14 +95,14 @@ struct Engine {
     vkGetDeviceQueue(device, family, 0, &queue);
     return true;
   }
-  ~Engine() {
+  ~EngineDevice() {
     if (device) vkDestroyDevice(device, nullptr);
     if (instance) vkDestroyInstance(instance, nullptr);
   }
 };
 
 TEST(AdoptedDevice, SolvesOnTheCallersQueueAndLeavesItsDeviceAlone) {
-  Engine engine;
+  EngineDevice engine;
   if (!engine.start()) GTEST_SKIP() << "no Vulkan 1.2 device, nothing was tested";
   const auto m = ring(300);
   const auto cpu = makeCpuGather(1);
@@ -119,7 +119,7 @@ TEST(AdoptedDevice, SolvesOnTheCallersQueueAndLeavesItsDeviceAlone) {
 }
 
 TEST(AdoptedDevice, IsRefusedWithALineThatNamesWhatIsWrong) {
-  Engine engine;
+  EngineDevice engine;
   if (!engine.start()) GTEST_SKIP() << "no Vulkan 1.2 device, nothing was tested";
   auto no_queue = VkContext::adopt(engine.instance, engine.physical, engine.device, 0, VK_NULL_HANDLE);
   ASSERT_FALSE(no_queue);

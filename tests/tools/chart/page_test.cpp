@@ -267,7 +267,7 @@ TEST(FigureText, KeepsGoodUtf8AndReplacesTheRest) {
   EXPECT_EQ(fileWord("../../"), "chart");
 }
 
-Report sample() {
+Report everySection() {
   Report r;
   r.title = "Town";
   r.lead = "Gather is enough.";
@@ -290,7 +290,7 @@ Report sample() {
 }
 
 TEST(CsvTable, HasALineASettingAndLightWithFullPrecision) {
-  const std::string csv = csvTable(sample());
+  const std::string csv = csvTable(everySection());
   std::vector<std::string> lines;
   std::istringstream in(csv.substr(0, csv.find("\"<script")));
   for (std::string line; std::getline(in, line);) lines.push_back(line);
@@ -306,7 +306,7 @@ TEST(CsvTable, HasALineASettingAndLightWithFullPrecision) {
 }
 
 TEST(HtmlPage, ShowsWhatWasMeasuredAndADashForWhatWasNot) {
-  const std::string html = htmlPage(sample(), {});
+  const std::string html = htmlPage(everySection(), {});
   EXPECT_NE(html.find("0.842 \u00b1 0.030"), std::string::npos);
   EXPECT_EQ(html.find(">0.84210526315789"), std::string::npos);
   EXPECT_NE(html.find("33.3 \u00b1 1.0"), std::string::npos);
@@ -335,7 +335,7 @@ class Page : public testing::Test {
 
 TEST_F(Page, WritesPageTableAndChartsAndTheSameBytesAgain) {
   write("map.png", std::string("\x89PNG\r\n\x1a\n") + "abc");
-  Report report = sample();
+  Report report = everySection();
   report.pictures = {{"map.png", "Worst places", "in red"}};
   report.charts.push_back(report.charts[0]);  // of the same id
   const auto written = writePage(report, folder_.path(), "town");
@@ -361,7 +361,7 @@ TEST_F(Page, WritesPageTableAndChartsAndTheSameBytesAgain) {
 TEST_F(Page, DoesWithoutPngsWhereNothingCanDrawThem) {
   const std::string path = std::getenv("PATH");
   ::setenv("PATH", folder_.path().c_str(), 1);
-  const auto written = writePage(sample(), folder_.path() + "/new/folder", "town");
+  const auto written = writePage(everySection(), folder_.path() + "/new/folder", "town");
   ::setenv("PATH", path.c_str(), 1);
   ASSERT_TRUE(written) << written.error().line();
   EXPECT_NE(written->left_out.find("librsvg2-bin"), std::string::npos);
@@ -370,7 +370,7 @@ TEST_F(Page, DoesWithoutPngsWhereNothingCanDrawThem) {
 }
 
 TEST_F(Page, NamesTheFileThatCannotBeReadOrWritten) {
-  Report report = sample();
+  Report report = everySection();
   report.pictures = {{"nowhere.png", "", ""}};
   auto refused = writePage(report, folder_.path(), "town");
   ASSERT_FALSE(refused);
@@ -380,7 +380,7 @@ TEST_F(Page, NamesTheFileThatCannotBeReadOrWritten) {
   refused = writePage(report, folder_.path(), "town");
   ASSERT_FALSE(refused);
   EXPECT_NE(refused.error().line().find("is no PNG"), std::string::npos);
-  refused = writePage(sample(), folder_.file("nowhere.png"), "town");
+  refused = writePage(everySection(), folder_.file("nowhere.png"), "town");
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, ErrorCode::kIo);
 }
