@@ -1,9 +1,10 @@
 // What a bake says of scenes that are broken, with counts and places; and that it says nothing of those that are not.
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
-#include <filesystem>
 #include <functional>
+#include <iostream>
 #include <string>
 
 #include "bake/bake.h"
@@ -275,6 +276,13 @@ TEST_F(BakeFindings, OfATownNothingIsSaid) {
   ASSERT_TRUE(tools::writeGlb(tools::townModel(*made, false), folder_.file("town.glb")));
   const auto scene = importGltf(folder_.file("town.glb"));
   ASSERT_TRUE(scene);
+  const auto caster = RayCaster::create(*scene);
+  ASSERT_TRUE(caster);
+  WorkCount stop;
+  const auto began = std::chrono::steady_clock::now();
+  EXPECT_FALSE(findOpenEdges(*scene, *caster, stop));
+  const std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - began;
+  std::cout << "looking for open edges takes " << took.count() / static_cast<double>(scene->triangles.size()) << " us a triangle\n";
   const auto stats = bake(*scene, {.cell_m = 1});
   ASSERT_TRUE(stats);
   EXPECT_TRUE(stats->findings.empty()) << lines(*stats)[0];
