@@ -15,7 +15,9 @@
 #include <thread>
 #include <utility>
 
+#include "bake/cleanup/open_edges.h"
 #include "bake/cleanup/scene_names.h"
+#include "bake/cleanup/slivers.h"
 #include "bake/estimate.h"
 #include "bake/light/form_factor.h"
 #include "bake/matrix/patch_rows.h"
@@ -162,40 +164,42 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, std::span<const
   return strip;
 }
 
-std::string percent(double share) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2g %%", share * 100);
-  return text;
-}
-
 uint32_t triangleOf(const PatchSet& set, uint32_t patch) { return set.triangles[set.patches[patch].first_triangle].source; }
 
-std::string rowsThatAreOff(const Scene& scene, const PatchSet& set, std::span<const std::pair<uint32_t, float>> off,
-                           std::span<const uint32_t> patch_of) {
+std::optional<Finding> rowsThatAreOff(const Scene& scene, const PatchSet& set, std::span<const std::pair<uint32_t, float>> off,
+                                      std::span<const uint32_t> patch_of) {
   PlaceSums places(scene);
   double area = 0, all = 0;
-  std::pair<uint32_t, float> worst{};
+  float worst = 0;
   for (const auto& [node, miss] : off) {
-    const auto own = static_cast<double>(set.patches[patch_of[node]].area_m2);
+    const Patch& patch = set.patches[patch_of[node]];
+    const auto own = static_cast<double>(patch.area_m2);
     area += own;
-    places.add(triangleOf(set, patch_of[node]), own);
-    if (std::abs(miss) > std::abs(worst.second)) worst = {node, miss};
+    places.add(triangleOf(set, patch_of[node]), own, patch.centroid);
+    if (std::abs(miss) > std::abs(worst)) worst = miss;
   }
   for (const Patch& p : set.patches) all += static_cast<double>(p.area_m2);
   if (!(area > kRowOffShare * all)) return {};
-  return "the rows of " + std::to_string(off.size()) + " patches (" + percent(area / all) + " of the surface) do not add up, the worst by " +
-         percent(static_cast<double>(worst.second)) + " (" + placeOf(scene, triangleOf(set, patch_of[worst.first])) +
-         "): surfaces overlap there; most of it: " + places.heaviest();
+  Finding finding{"overlaps", "the rows of " + std::to_string(off.size()) + (off.size() == 1 ? " patch do" : " patches do") + " not add up, the worst by " +
+                  percent(static_cast<double>(worst)) + ", as surfaces overlap there", off.size(), "patches", area / all, "surface"};
+  places.putInto(finding);
+  finding.remedy = "leave one of them out (--exclude), or cut away what lies under the other";
+  return finding;
 }
 
-std::string lightOnBacks(const Scene& scene, const PatchSet& set, std::span<const PatchSight> sight, double share) {
+std::optional<Finding> lightOnBacks(const Scene& scene, const PatchSet& set, const PutAside& hits, double share) {
   const bool other = std::any_of(scene.materials.begin(), scene.materials.end(), [](const Material& m) { return m.occlude_only; });
   if (other || !(share > kBacksShare)) return {};
-  PlaceSums places(scene);
-  for (uint32_t i = 0; i < set.patches.size(); ++i)
-    if (sight[i].absorbed > 0) places.add(triangleOf(set, i), static_cast<double>(set.patches[i].area_m2) * sight[i].absorbed / sight[i].rays);
-  return percent(share) + " of the light ends on the backs of single-sided surfaces, most of it what leaves " + places.heaviest() +
-         "; --backs reflect or --backs pass treats them otherwise";
+  Finding finding{"leaks", "", 0, "patches", share, "light"};
+  double all = 0;
+  for (size_t i = 0; i < set.patches.size(); ++i) {
+    finding.count += hits.sight[i].absorbed > 0;
+    all += static_cast<double>(set.patches[i].area_m2) * hits.sight[i].absorbed / hits.sight[i].rays;
+  }
+  finding.what = "light that leaves " + std::to_string(finding.count) + (finding.count == 1 ? " patch" : " patches") + " ends on the backs of single-sided surfaces";
+  finding.places = placesOf(scene, hits.leaks(set.cell_m, kMaxPlaces), all);
+  finding.remedy = "close what is open, or treat them otherwise with --backs reflect or --backs pass";
+  return finding;
 }
 
 }  // namespace
@@ -227,11 +231,16 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
 
 namespace {
 
+void keep(std::optional<Finding> found, std::vector<Finding>& findings) {
+  if (found) findings.push_back(std::move(*found));
+}
+
 // What rays are cast at and from.
 struct Surface {
   Surface(const Scene& whole, Cleanup done) : clean(std::move(done)), scene(clean.scene ? *clean.scene : whole) {}
   const Cleanup clean;
   const Scene& scene;
+  std::vector<Finding> findings;
   std::optional<RayCaster> caster;
   PatchSet set;
 };
@@ -240,8 +249,8 @@ int threadsOf(const BakeSettings& settings) {
   return std::max(1, settings.threads > 0 ? settings.threads : static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-// check: called with the scene as it is baked, before the work.
-Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSettings& settings, const Progress& progress,
+// check: called with the scene as it is baked, before the work. look: for what is odd about it.
+Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSettings& settings, const Progress& progress, bool look,
                                              const std::function<Result<void>(const Scene&)>& check) {
   auto clean = cleanUp(whole, settings.cleanup);
   if (!clean) return clean.error();
@@ -253,6 +262,11 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
   if (!caster) return caster.error();
   surface->caster.emplace(std::move(*caster));
   ProgressReport report(progress, "patches", 0, settings.stop);
+  surface->findings = surface->clean.findings;
+  if (look) {
+    keep(findSlivers(scene), surface->findings);
+    keep(findOpenEdges(scene, *surface->caster, report.count), surface->findings);
+  }
   const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals};
   auto set = settings.cell_m > 0 ? makePatches(scene, cut, &*surface->caster) : patchesWithin(settings.patch_budget, scene, cut, *surface->caster);
   if (!set) return set.error();
@@ -264,7 +278,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   const auto began = Clock::now();
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
   std::optional<formats::WorldWriter> writer;
-  auto surface = makeSurface(whole, settings, progress, [&](const Scene& scene) -> Result<void> {
+  auto surface = makeSurface(whole, settings, progress, true, [&](const Scene& scene) -> Result<void> {
     const BakeEstimate estimate = estimateBake(scene, settings);
     if (settings.announce) settings.announce(estimate);
     if (auto fits = checkFits(scene, settings, estimate); !fits) return fits;
@@ -283,7 +297,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
 
   // Rays: hits are put aside, range by range.
   BakeStats stats;
-  stats.warnings = (*surface)->clean.notes;
+  stats.findings = std::move((*surface)->findings);
   stats.cell_m = set.cell_m;
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
@@ -326,7 +340,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);
   stats.sky_fraction /= stats.area_m2;
   stats.absorbed_fraction /= stats.area_m2;
-  if (auto line = lightOnBacks(scene, set, hits.sight, stats.absorbed_fraction); !line.empty()) stats.warnings.push_back(std::move(line));
+  keep(lightOnBacks(scene, set, hits, stats.absorbed_fraction), stats.findings);
 
   // Pooling and the pyramid.
   const Hierarchy hierarchy = makeHierarchy(set.patches, sky, narrow, lamp_lit);
@@ -411,7 +425,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   info.lights = scene.lights;
 
   // Drawing geometry.
-  if (auto line = rowsThatAreOff(scene, set, off, patch_of); !line.empty()) stats.warnings.push_back(std::move(line));
+  keep(rowsThatAreOff(scene, set, off, patch_of), stats.findings);
   const auto& tiles = hierarchy.tile_start[0];
   if (settings.geometry) {
     ProgressReport report(progress, "geometry", tiles.size() - 1, settings.stop);
@@ -448,16 +462,16 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     for (size_t p = 0; p < n; ++p) patches.push_back({set.patches[p].cell, hits.sight[p].square_error});
     if (auto ok = writeWorldGrids(settings.vdb_path, patches, set.cell_m, scene.origin); !ok) return ok.error();
   }
-  stats.not_modelled = notModelled(scene);
+  for (Finding& finding : notModelled(scene)) stats.findings.push_back(std::move(finding));
   for (uint32_t& i : lowered) i = patch_of[i];
-  if (auto line = loweredAlbedos(scene, set, lowered)) stats.not_modelled.push_back(std::move(*line));
+  keep(loweredAlbedos(scene, set, lowered), stats.findings);
   stats.seconds = since(began);
   return stats;
 }
 
 Result<void> help(const Scene& whole, const BakeSettings& settings) {
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
-  const auto surface = makeSurface(whole, settings, {}, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
+  const auto surface = makeSurface(whole, settings, {}, false, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
   if (!surface) return surface.error();
   WorkCount done(0, settings.stop);
   RayUnits((*surface)->scene, (*surface)->set, budgetOf(settings), settings.seed, *settings.cache).help(*(*surface)->caster, done, *settings.ranks);
@@ -466,7 +480,7 @@ Result<void> help(const Scene& whole, const BakeSettings& settings) {
 
 Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, const Progress& progress) {
   tbb::global_control limit(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threadsOf(settings)));
-  const auto surface = makeSurface(whole, settings, progress, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
+  const auto surface = makeSurface(whole, settings, progress, false, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
   if (!surface) return surface.error();
   const PatchSet& set = (*surface)->set;
   ProgressReport report(progress, "rays", set.patches.size(), settings.stop);

@@ -9,7 +9,7 @@
 
 #include "bake/bake_code.h"
 #include "bake/cleanup/scene_cleanup.h"
-#include "bake/not_modelled.h"
+#include "bake/finding.h"
 #include "bake/plan/ray_units.h"
 #include "bake/progress_report.h"
 #include "bake/scene.h"
@@ -65,9 +65,9 @@ struct BakeStats {
   double sky_fraction = 0, absorbed_fraction = 0;  // of the exposed area's rays
   double buried_fraction = 0;    // of the whole area; sealed surface as well
   std::vector<LevelStats> levels;
-  std::vector<std::string> warnings;  // what is odd about the scene, a line each; none about a clean one
+  std::vector<Finding> findings;      // what is odd about the scene, none about a clean one; last, what is not modelled of it
+  std::vector<std::string> warnings;  // of files: the cache, the world; a line each
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMaxReflected
-  std::vector<NotModelled> not_modelled;
   UnitCounts ray_units;  // of the cache
   uint64_t spilled_bytes = 0;  // written to files for want of memory
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import

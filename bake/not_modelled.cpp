@@ -3,84 +3,104 @@
 #include <algorithm>
 #include <map>
 
+#include "bake/cleanup/scene_names.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/patches.h"
 
 namespace ff::bake {
 namespace {
 
+// Of one material.
+struct Covered {
+  double m2 = 0, largest_m2 = 0;  // of a triangle
+  uint64_t triangles = 0;
+  std::optional<std::array<double, 3>> at;  // the middle of that
+
+  void add(const Scene& scene, double own_m2, Vec3 middle) {
+    m2 += own_m2;
+    ++triangles;
+    if (at && own_m2 <= largest_m2) return;
+    largest_m2 = own_m2;
+    at = inWorld(scene, middle);
+  }
+};
+
 std::string nameOf(const Scene& scene, uint32_t material) {
   const std::string& name = scene.materials[material].name;
   return name.empty() ? "material " + std::to_string(material) : name;
 }
 
-// Areas by material to names, largest first.
-std::vector<std::string> namesByArea(const Scene& scene, const std::map<uint32_t, double>& area) {
-  std::map<std::string, double> by_name;
-  for (const auto& [material, m2] : area) by_name[nameOf(scene, material)] += m2;
-  std::vector<std::pair<double, std::string>> order;
-  for (const auto& [name, m2] : by_name) order.emplace_back(-m2, name);
-  std::sort(order.begin(), order.end());
-  std::vector<std::string> names;
-  for (auto& [m2, name] : order) names.push_back(std::move(name));
-  return names;
+// One for each name, largest area first.
+std::vector<FoundPlace> placesByArea(const Scene& scene, const std::map<uint32_t, Covered>& materials) {
+  std::map<std::string, Covered> by_name;
+  double all = 0;
+  for (const auto& [material, own] : materials) {
+    Covered& sum = by_name[nameOf(scene, material)];
+    if (!sum.at || own.largest_m2 > sum.largest_m2) {
+      sum.largest_m2 = own.largest_m2;
+      sum.at = own.at;
+    }
+    sum.m2 += own.m2;
+    all += own.m2;
+  }
+  std::vector<FoundPlace> places;
+  for (const auto& [name, sum] : by_name) places.push_back({sum.at, name, all > 0 ? sum.m2 / all : 0});
+  std::stable_sort(places.begin(), places.end(), [](const FoundPlace& a, const FoundPlace& b) { return a.share > b.share; });
+  return places;
+}
+
+Finding findingOf(const Scene& scene, const std::string& what, const std::map<uint32_t, Covered>& materials, double whole_m2) {
+  Finding finding{"not_modelled", what, 0, "triangles", 0, "surface"};
+  for (const auto& [material, own] : materials) {
+    finding.count += own.triangles;
+    finding.share += whole_m2 > 0 ? own.m2 / whole_m2 : 0;
+  }
+  finding.places = placesByArea(scene, materials);
+  return finding;
 }
 
 }  // namespace
 
-std::vector<NotModelled> notModelled(const Scene& scene) {
-  std::vector<double> area(scene.materials.size());
-  std::vector<uint64_t> triangles(scene.materials.size());
+std::vector<Finding> notModelled(const Scene& scene) {
+  std::vector<Covered> of_material(scene.materials.size());
   double whole = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const double m2 = static_cast<double>(triangleArea(scene, t));
-    area[scene.triangles[t].material] += m2;
-    ++triangles[scene.triangles[t].material];
+    of_material[scene.triangles[t].material].add(scene, m2, middleOf(scene, t));
     whole += m2;
   }
-  std::map<std::string, std::map<uint32_t, double>> lines;
+  std::map<std::string, std::map<uint32_t, Covered>> lines;
   for (uint32_t m = 0; m < scene.materials.size(); ++m) {
     const Material& material = scene.materials[m];
     const bool passes_all = material.transmission == 1 || (material.blend && material.alpha == 0);
-    if (triangles[m] == 0 && !passes_all) continue;
-    for (const std::string& what : material.left_alone) lines[what][m] = area[m];
+    if (of_material[m].triangles == 0 && !passes_all) continue;
+    for (const std::string& what : material.left_alone) lines[what][m] = of_material[m];
   }
-  std::vector<NotModelled> out;
-  for (const auto& [what, materials] : lines) {
-    NotModelled& line = out.emplace_back();
-    line.what = what;
-    for (const auto& [m, m2] : materials) {
-      line.triangles += triangles[m];
-      line.area_share += whole > 0 ? m2 / whole : 0;
-    }
-    line.names = namesByArea(scene, materials);
-  }
-  for (const std::string& what : scene.left_alone) out.push_back({what, 0, 0, {}});
+  std::vector<Finding> out;
+  for (const auto& [what, materials] : lines) out.push_back(findingOf(scene, what, materials, whole));
+  for (const std::string& what : scene.left_alone) out.push_back({"not_modelled", what});
   return out;
 }
 
-std::optional<NotModelled> loweredAlbedos(const Scene& scene, const PatchSet& set, std::span<const uint32_t> patches) {
+std::optional<Finding> loweredAlbedos(const Scene& scene, const PatchSet& set, std::span<const uint32_t> patches) {
   if (patches.empty()) return {};
-  NotModelled line;
-  line.what = "albedos of surfaces that would have reflected all they see back to what they see: lowered on " +
-              std::to_string(patches.size()) + (patches.size() == 1 ? " patch" : " patches");
-  std::map<uint32_t, double> area;
+  std::map<uint32_t, Covered> of_material;
+  std::map<uint32_t, double> of_triangle;
   double lowered = 0, whole = 0;
-  std::vector<uint8_t> met(scene.triangles.size());
   for (const uint32_t p : patches) {
     const Patch& patch = set.patches[p];
     lowered += static_cast<double>(patch.area_m2);
     for (uint32_t k = patch.first_triangle; k < patch.first_triangle + patch.triangles; ++k) {
       const PatchTriangle& t = set.triangles[k];
-      area[scene.triangles[t.source].material] += static_cast<double>(length(cross(t.b - t.a, t.c - t.a))) / 2;
-      if (!met[t.source]) ++line.triangles;
-      met[t.source] = 1;
+      of_triangle[t.source] += static_cast<double>(length(cross(t.b - t.a, t.c - t.a))) / 2;
     }
   }
+  for (const auto& [t, m2] : of_triangle) of_material[scene.triangles[t].material].add(scene, m2, middleOf(scene, t));
   for (const Patch& patch : set.patches) whole += static_cast<double>(patch.area_m2);
-  line.area_share = whole > 0 ? lowered / whole : 0;
-  line.names = namesByArea(scene, area);
-  return line;
+  Finding finding = findingOf(scene, "albedos of surfaces that would have reflected all they see back to what they see: lowered on " +
+                              std::to_string(patches.size()) + (patches.size() == 1 ? " patch" : " patches"), of_material, 0);
+  finding.share = whole > 0 ? lowered / whole : 0;
+  return finding;
 }
 
 }  // namespace ff::bake

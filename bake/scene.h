@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "bake/finding.h"
 #include "formats/model.h"
 #include "formats/result.h"
 #include "formats/vec3.h"
@@ -89,6 +90,7 @@ struct Scene {
   std::vector<formats::Light> lights;   // KHR_lights_punctual
   std::vector<std::string> left_alone;  // what is not modelled of the scene as a whole, likewise
   uint64_t without_area = 0;            // triangles that were left out because they have no area
+  std::vector<FoundPlace> without_area_at;   // some of them
   std::vector<std::string> warnings;
   std::array<uint8_t, 16> content_hash{};  // XXH3-128 of the above arrays: part of the bake key
 };

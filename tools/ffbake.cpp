@@ -210,7 +210,7 @@ int run(int argc, char** argv) {
   };
   std::unique_ptr<bake::BakeCache> cache;
   if (!no_cache) {
-    auto opened = bake::BakeCache::open(cache_folder, helps ? ~uint64_t{0} : cache_limit);  // rank 0 keeps to the limit
+    auto opened = status ? bake::BakeCache::peek(cache_folder) : bake::BakeCache::open(cache_folder, helps ? ~uint64_t{0} : cache_limit);  // rank 0 keeps to the limit
     if (!opened) return leave(fail(opened.error()));
     cache = std::move(*opened);
     settings.cache = cache.get();
@@ -236,7 +236,7 @@ int run(int argc, char** argv) {
   auto stats = bake::bakeWorld(*scene, settings, out, progress);
   printer.endLine();
   if (!stats) return leave(failed(stats.error()));
-  for (const std::string& warning : stats->warnings) say("ffbake: warning: " + warning);
+  for (const std::string& warning : tools::warningsOf(*stats)) say("ffbake: warning: " + warning);
   const uint64_t cache_bytes = cache ? cache->bytes() : 0;
   if (json) fmt::print("{}\n", tools::toJson(*stats, printer.phases(), cache_bytes).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
   else tools::printSummary(*stats, out, printer.phases(), cache_bytes);

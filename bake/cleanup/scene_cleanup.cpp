@@ -75,20 +75,30 @@ class Cleaner {
   std::optional<Scene> changed_;
 };
 
-std::string counted(uint64_t n, const char* thing) { return std::to_string(n) + " " + thing + (n == 1 ? "" : "s"); }
-
-// Densities that are no power of two, a line each.
-void noteRounding(const Scene& scene, std::vector<std::string>& notes) {
-  std::map<float, PlaceSums> rounded;
+// Densities that are no power of two, each.
+void noteRounding(const Scene& scene, std::vector<Finding>& findings) {
+  struct Rounded {
+    PlaceSums places;
+    uint64_t triangles = 0;
+    double m2 = 0;
+  };
+  std::map<float, Rounded> rounded;
+  double all = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const float density = scene.materials[scene.triangles[t].material].density;
+    const auto m2 = static_cast<double>(triangleArea(scene, t));
+    all += m2;
     if (density == std::ldexp(1.0f, finenessOf(density))) continue;
-    rounded.try_emplace(density, scene).first->second.add(t, static_cast<double>(triangleArea(scene, t)));
+    Rounded& r = rounded.try_emplace(density, Rounded{PlaceSums(scene)}).first->second;
+    r.places.add(t, m2);
+    ++r.triangles;
+    r.m2 += m2;
   }
-  for (const auto& [density, places] : rounded) {
+  for (const auto& [density, r] : rounded) {
     char text[80];
-    std::snprintf(text, sizeof text, "a density of %g is rounded to %g, a power of two: ", static_cast<double>(density), std::ldexp(1.0, finenessOf(density)));
-    notes.push_back(text + places.heaviest());
+    std::snprintf(text, sizeof text, "a density of %g is rounded to %g, a power of two", static_cast<double>(density), std::ldexp(1.0, finenessOf(density)));
+    findings.push_back({"density", text, r.triangles, "triangles", r.m2 / all, "surface"});
+    r.places.putInto(findings.back());
   }
 }
 
@@ -110,7 +120,7 @@ void sign(Scene& s) {
 
 Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
   Cleaner cleaner(whole);
-  std::vector<std::string> notes;
+  std::vector<Finding> findings;
   for (const std::string& pattern : settings.exclude) {
     auto match = cleaner.chosen(pattern);
     if (!match) return match.error();
@@ -137,7 +147,9 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
           ++count;
           places.add(t);
         }
-      notes.push_back("left out a sky dome of " + counted(count, "triangle") + ": " + places.heaviest() + "; --keep-sky-dome keeps it");
+      findings.push_back({"sky_dome", "left out a sky dome of " + counted(count, "triangle"), count, "triangles"});
+      places.putInto(findings.back());
+      findings.back().remedy = "--keep-sky-dome keeps it";
       cleaner.leaveOut(dome);
     }
   }
@@ -158,9 +170,11 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
       places.add(t, area);
     }
     if (count > 0) {
-      if (emits || twice > kWorthALine * all)
-        notes.push_back(counted(count, "triangle") + (count == 1 ? " lies" : " lie") + " where another does and " +
-                        (count == 1 ? "is" : "are") + " left out: " + places.heaviest());
+      if (emits || twice > kWorthALine * all) {
+        findings.push_back({"duplicates", counted(count, "triangle") + (count == 1 ? " lies" : " lie") + " where another does and " + (count == 1 ? "is" : "are") + " left out",
+                            count, "triangles", all > 0 ? twice / all : 0, "surface"});
+        places.putInto(findings.back());
+      }
       cleaner.leaveOut(duplicate);
     }
   }
@@ -170,8 +184,8 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
     if (settings.backs == Backs::kReflect)
       for (Material& m : s.materials) m.double_sided = true;
   }
-  noteRounding(cleaner.scene(), notes);
-  Cleanup out{cleaner.take(), std::move(notes)};
+  noteRounding(cleaner.scene(), findings);
+  Cleanup out{cleaner.take(), std::move(findings)};
   if (out.scene) sign(*out.scene);
   return out;
 }

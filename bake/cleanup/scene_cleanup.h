@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bake/finding.h"
 #include "bake/scene.h"
 
 namespace ff::bake {
@@ -21,7 +22,7 @@ struct CleanupSettings {
 
 struct Cleanup {
   std::optional<Scene> scene;         // empty: the scene is right as it is
-  std::vector<std::string> notes;     // what was done that was not asked for, a line each
+  std::vector<Finding> findings;      // what was done that was not asked for
 };
 
 // Errors (kUsage): a pattern that nothing matches, a density out of range. The content hash of a scene that comes out covers what was done.

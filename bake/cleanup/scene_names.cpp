@@ -3,7 +3,6 @@
 #include <fnmatch.h>
 
 #include <algorithm>
-#include <cmath>
 
 namespace ff::bake {
 namespace {
@@ -34,16 +33,28 @@ std::string placeOf(const Scene& scene, uint32_t triangle) {
   return place + (name.empty() ? "material " + std::to_string(m) : "material \"" + name + "\"");
 }
 
-void PlaceSums::add(uint32_t triangle, double weight) {
-  const Object* object = objectOf(scene_, triangle);
-  const std::pair key(object ? object->node : kNone, scene_.triangles[triangle].material);
-  const auto [at, added] = sums_.try_emplace(key, Sum{triangle, 0});
-  at->second.weight += weight;
-  at->second.triangle = std::min(at->second.triangle, triangle);
+std::array<double, 3> inWorld(const Scene& scene, Vec3 p) {
+  return {scene.origin[0] + static_cast<double>(p.x), scene.origin[1] + static_cast<double>(p.y), scene.origin[2] + static_cast<double>(p.z)};
 }
 
-std::string PlaceSums::heaviest() const {
-  constexpr size_t kMost = 3;
+Vec3 middleOf(const Scene& scene, uint32_t triangle) {
+  const auto& v = scene.triangles[triangle].v;
+  return (scene.positions[v[0]] + scene.positions[v[1]] + scene.positions[v[2]]) / 3;
+}
+
+void PlaceSums::add(uint32_t triangle, double weight, Vec3 at) {
+  const Object* object = objectOf(scene_, triangle);
+  const std::pair key(object ? object->node : kNone, scene_.triangles[triangle].material);
+  Sum& sum = sums_.try_emplace(key, Sum{triangle, 0, -1, {}}).first->second;
+  sum.weight += weight;
+  sum.triangle = std::min(sum.triangle, triangle);
+  if (weight > sum.heaviest) {
+    sum.heaviest = weight;
+    sum.at = at;
+  }
+}
+
+void PlaceSums::putInto(Finding& finding) const {
   std::vector<Sum> sums;
   double all = 0;
   for (const auto& [key, sum] : sums_) {
@@ -53,13 +64,9 @@ std::string PlaceSums::heaviest() const {
   std::sort(sums.begin(), sums.end(), [](const Sum& a, const Sum& b) {
     return a.weight != b.weight ? a.weight > b.weight : a.triangle < b.triangle;
   });
-  std::string text;
-  for (size_t i = 0; i < std::min(kMost, sums.size()); ++i) {
-    text += (i > 0 ? "; " : "") + placeOf(scene_, sums[i].triangle);
-    if (sums.size() > 1) text += " (" + std::to_string(std::lround(100 * sums[i].weight / all)) + " %)";
-  }
-  if (sums.size() > kMost) text += " and " + std::to_string(sums.size() - kMost) + " more";
-  return text;
+  finding.more_places = sums.size() - std::min(sums.size(), kMaxPlaces);
+  sums.resize(std::min(sums.size(), kMaxPlaces));
+  for (const Sum& sum : sums) finding.places.push_back({inWorld(scene_, sum.at), placeOf(scene_, sum.triangle), all > 0 ? sum.weight / all : 1});
 }
 
 std::vector<bool> matching(const Scene& scene, const std::string& pattern) {

@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bake/finding.h"
 #include "bake/scene.h"
 
 namespace ff::bake {
@@ -16,18 +17,23 @@ const Object* objectOf(const Scene& scene, uint32_t triangle);
 // 'node "lamp 2", material "bulb"', with numbers for what has no name.
 std::string placeOf(const Scene& scene, uint32_t triangle);
 
-// Sums what is said of triangles by the place that they are of.
+std::array<double, 3> inWorld(const Scene& scene, Vec3 p);
+Vec3 middleOf(const Scene& scene, uint32_t triangle);
+
+// Sums what is said of triangles by the object and material that they are of.
 class PlaceSums {
  public:
   explicit PlaceSums(const Scene& scene) : scene_(scene) {}
-  void add(uint32_t triangle, double weight = 1);
-  // Up to three places, the heaviest first: 'node "a" (84 %), node "b" (9 %) and 7 more'.
-  std::string heaviest() const;
+  void add(uint32_t triangle, double weight, Vec3 at);  // at: on the triangle
+  void add(uint32_t triangle, double weight = 1) { add(triangle, weight, middleOf(scene_, triangle)); }
+  // The heaviest of them, each where its heaviest part is.
+  void putInto(Finding& finding) const;
 
  private:
   struct Sum {
     uint32_t triangle;  // the first
-    double weight;
+    double weight, heaviest;
+    Vec3 at;
   };
   const Scene& scene_;
   std::map<std::pair<uint32_t, uint32_t>, Sum> sums_;  // of (node or object, material)

@@ -99,6 +99,8 @@ class Joiner {
       if (std::find(all_.left_alone.begin(), all_.left_alone.end(), line) == all_.left_alone.end()) all_.left_alone.push_back(std::move(line));
     for (std::string& line : scene.warnings) all_.warnings.push_back(scene.name + ": " + line);
     all_.without_area += scene.without_area;
+    for (FoundPlace& place : scene.without_area_at)
+      if (all_.without_area_at.size() < kMaxPlaces) all_.without_area_at.push_back(std::move(place));
     return {};
   }
 

@@ -25,8 +25,6 @@ constexpr double kFarthest = 1e9;
 constexpr uint64_t kDecodedTimes = 4;
 // Thinner triangles than this (height over longest edge) have lost their normal to rounding in float.
 constexpr double kThinnest = 1e-7;
-// Modelling leaves a few triangles without area in most scenes, and nobody misses them; more than one in so many tell of a faulty export.
-constexpr uint64_t kFewWithoutArea = 100;
 
 // Coordinates of a scene that stands far from the origin of its file lose their last digits in float; so they count from
 // a place near it. The median tells where it is, whatever strays: of a scene within kNearBy times its own size (that of all but the
@@ -111,8 +109,6 @@ class Builder {
         addPrimitive(primitives[p], static_cast<uint32_t>(m), instances[m], "mesh " + std::to_string(m) + " primitive " + std::to_string(p));
     }
     if (limits_.progress) limits_.progress(all_, all_);
-    if (scene_.without_area * kFewWithoutArea > scene_.triangles.size() + scene_.without_area)
-      scene_.warnings.push_back(std::to_string(scene_.without_area) + " triangles without area are left out");
     if (scene_.triangles.empty()) scene_.warnings.push_back("the scene holds no triangles");
   }
 
@@ -219,11 +215,20 @@ class Builder {
       for (uint32_t& i : v) i += first;
       if (mirrored) std::swap(v[1], v[2]);
       if (isDegenerate(scene_.positions[v[0]], scene_.positions[v[1]], scene_.positions[v[2]])) {
-        ++scene_.without_area;
+        leaveOut(scene_.positions[v[0]], instance.node);
         continue;
       }
       scene_.triangles.push_back({v, materials_.with(material, traits)});
     }
+  }
+
+  void leaveOut(Vec3 at, int node) {
+    ++scene_.without_area;
+    if (scene_.without_area_at.size() == kMaxPlaces) return;
+    const std::string& name = scene_.node_names[static_cast<size_t>(node)];
+    FoundPlace& place = scene_.without_area_at.emplace_back();
+    place.at = {scene_.origin[0] + double{at.x}, scene_.origin[1] + double{at.y}, scene_.origin[2] + double{at.z}};
+    place.name = name.empty() ? "node " + std::to_string(node) : "node \"" + name + "\"";
   }
 
   // The array starts with the first surface that needs it; surfaces without values get the neutral ones.

@@ -59,7 +59,7 @@ struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
         : count(s.set.patches.size()), points(s.budget.rays), sky(kMaxTogether), caster(s.caster),
-          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light) {}
+          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light), leaks(s.set.cell_m) {}
     std::vector<uint16_t> count;     // per patch of the set, zero between rows
     std::vector<uint32_t> touched;
     std::vector<SurfacePoint> points;
@@ -68,6 +68,7 @@ struct RowCaster::State {
     LampLight lamps;
     SightMap sight;
     RowError error;
+    LeakSums leaks;                  // of the range
   };
 
   const Scene& scene;
@@ -106,7 +107,9 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   rows.lamps.assign(n, {});
   rows.narrow.assign(n, 0);
   const std::vector<uint32_t> start = startsOfGroups(state_->set, first, end);
+  scratch->leaks.clear();
   for (size_t g = 0; g + 1 < start.size(); ++g) state_->castTogether(start[g], start[g + 1], first, *scratch, rows, done);
+  rows.leaks = scratch->leaks.heaviest(kMaxLeaks);
   return rows;
 }
 
@@ -167,7 +170,9 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
         continue;
       }
       if (j == kNone) {
-        ++(!hit.front && isBuried(s.caster, ray.origin, from.normal) ? rows.buried : rows.absorbed)[i];
+        const bool buried = !hit.front && isBuried(s.caster, ray.origin, from.normal);
+        ++(buried ? rows.buried : rows.absorbed)[i];
+        if (!buried && !hit.front) s.leaks.add({hit.point, set.patches[patch].area_m2 / static_cast<float>(rays)});
         continue;
       }
       if (s.count[j]++ == 0) s.touched.push_back(j);

@@ -38,6 +38,7 @@ HitRows joined(std::vector<HitRows> ranges) {
   join(&HitRows::sky_means, n);
   join(&HitRows::lamps, n);
   join(&HitRows::narrow, n);
+  for (HitRows& r : ranges) all.leaks.insert(all.leaks.end(), r.leaks.begin(), r.leaks.end());
   return all;
 }
 
@@ -68,6 +69,11 @@ void putSeen(formats::ByteWriter& out, const HitRows& rows) {
   putValues(out, rows.sky_means);
   putValues(out, rows.narrow);
   for (const auto& lamps : rows.lamps) putLamps(out, lamps);
+  putVarint(out, rows.leaks.size());
+  for (const Leak& leak : rows.leaks) {
+    out.vec3(leak.at);
+    out.f32(leak.m2);
+  }
 }
 
 bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& rows) {
@@ -82,6 +88,11 @@ bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& 
   if (!in.ok()) return false;
   rows.lamps.resize(n);
   for (auto& lamps : rows.lamps) lamps = takeLamps(in);
+  for (uint64_t left = takeVarint(in); left > 0 && in.ok(); --left) {
+    Leak& leak = rows.leaks.emplace_back();
+    in.vec3(leak.at);
+    in.f32(leak.m2);
+  }
   return in.ok();
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "bake/light/lamp_light.h"
+#include "bake/light/leaks.h"
 #include "bake/light/sky_light.h"
 #include "formats/codec/bytes.h"
 
@@ -25,6 +26,7 @@ struct HitRows {
   std::vector<SkyMeans> sky_means;       // per patch
   std::vector<std::vector<LampIrradiance>> lamps;  // per patch, by group
   std::vector<uint8_t> narrow;           // per patch: how many of kNarrowCells most rays do not get to
+  std::vector<Leak> leaks;               // of all patches together
 
   size_t patches() const { return rays.size(); }
 };

@@ -18,9 +18,19 @@ void PutAside::put(uint32_t first, const HitRows& rows) {
   };
   for (size_t p = 0; p < rows.patches(); ++p) count(first + p, rows.start[p + 1] - rows.start[p]);
   for (const uint32_t j : rows.column) count(j, 1);
-  Range range{first, spill_.put(encoded(rows))};
+  Range range{first, spill_.put(encoded(rows)), rows.leaks};
   const std::lock_guard lock(mutex_);
   ranges_.push_back(std::move(range));
+}
+
+std::vector<Leak> PutAside::leaks(float cell_m, size_t most) const {
+  std::vector<const Range*> in_order;
+  for (const Range& range : ranges_) in_order.push_back(&range);
+  std::sort(in_order.begin(), in_order.end(), [](const Range* a, const Range* b) { return a->first < b->first; });
+  LeakSums sums(cell_m);
+  for (const Range* range : in_order)
+    for (const Leak& leak : range->leaks) sums.add(leak);
+  return sums.heaviest(most);
 }
 
 std::pair<uint32_t, HitRows> PutAside::take(size_t range) {

@@ -30,6 +30,8 @@ class PutAside {
   // Hits from either end, of a patch.
   uint32_t hitsAt(size_t patch) const { return hits_at_[patch]; }
   uint64_t spilled() const { return spill_.written(); }
+  // Of all ranges, the heaviest first; once all are put.
+  std::vector<Leak> leaks(float cell_m, size_t most) const;
 
   std::vector<PatchSight> sight;  // by patch
 
@@ -37,6 +39,7 @@ class PutAside {
   struct Range {
     uint32_t first;
     Spill::Block block;
+    std::vector<Leak> leaks;
   };
   std::mutex mutex_;
   std::vector<uint32_t> hits_at_;

@@ -82,6 +82,17 @@ Result<std::unique_ptr<BakeCache>> BakeCache::open(const std::string& folder, ui
   return cache;
 }
 
+Result<std::unique_ptr<BakeCache>> BakeCache::peek(const std::string& folder, formats::StoragePtr storage) {
+  std::unique_ptr<BakeCache> cache(new BakeCache(folder.ends_with('/') ? folder : folder + "/", 0, std::move(storage)));
+  std::error_code unknown;
+  if (!std::filesystem::exists(folder, unknown)) return cache;
+  const auto names = cache->storage_->list(folder);
+  if (!names) return names.error();
+  for (const std::string& name : *names)
+    if (isUnit(name)) cache->bytes_ += sizeOf(cache->folder_ + name);
+  return cache;
+}
+
 void BakeCache::warn(const Error& error) {
   const std::lock_guard lock(mutex_);
   warnings_.push_back("the bake goes on without its cache, and does all from here on again if it is stopped: " + error.line());

@@ -29,6 +29,9 @@ class BakeCache {
   // Errors: kIo (no such folder can be made).
   static Result<std::unique_ptr<BakeCache>> open(const std::string& folder, uint64_t limit_bytes, formats::StoragePtr storage = formats::posixStorage());
 
+  // The same to look into only: nothing is made, removed or to be stored, and a folder that is missing is an empty one. Errors: kIo.
+  static Result<std::unique_ptr<BakeCache>> peek(const std::string& folder, formats::StoragePtr storage = formats::posixStorage());
+
   // What was stored; nothing where there is none, or it is damaged. kind: of the unit, a word.
   std::optional<std::vector<std::byte>> load(std::string_view kind, const Digest& key);
   // In one step: another bake sees all of it or nothing. Survives a kill; a power cut may lose it. Trims where the limit asks for it; where that is not

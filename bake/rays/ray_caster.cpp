@@ -55,10 +55,13 @@ struct RayCaster::State {
   std::vector<float> offsets;         // per scene triangle, m
   Vec3 largest;                       // coordinates, m
   std::string error;
+  bool built = false;
 
+  // What Embree could not build, for want of threads, it cannot take down either: it would end the process.
   ~State() {
-    if (embree) rtcReleaseScene(embree);
-    if (device) rtcReleaseDevice(device);
+    if (!built) return;
+    rtcReleaseScene(embree);
+    rtcReleaseDevice(device);
   }
 
   void makeBlocks();
@@ -247,6 +250,7 @@ Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
   if (!scene.triangles.empty()) state->makeBlocks();
   if (state->error.empty()) state->attachBlocks();
   if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
+  state->built = true;
   return RayCaster(std::move(state), nullptr);
 }
 

@@ -294,13 +294,14 @@ TEST_F(Bake, RowsThatDoNotAddUpAreSaidWithTheirPlaceAndThoseOfACleanSceneAreNot)
       const auto stats = bakeWorld(varied(s, v), {.cell_m = v.scale, .rays = 512, .quanta = 128, .geometry = false}, path("w.ffm"));
       ASSERT_TRUE(stats) << stats.error().line();
       if (!pasted) {
-        EXPECT_TRUE(stats->warnings.empty()) << v.name << ": " << stats->warnings[0];
+        EXPECT_TRUE(stats->findings.empty()) << v.name << ": " << lineOf(stats->findings[0]);
         continue;
       }
-      ASSERT_EQ(stats->warnings.size(), 1u) << v.name;
-      EXPECT_NE(stats->warnings[0].find("do not add up"), std::string::npos) << stats->warnings[0];
-      const auto names = [&](const char* it) { return stats->warnings[0].find(it) != std::string::npos; };
-      EXPECT_TRUE(names("wall") || names("sheet")) << stats->warnings[0];
+      ASSERT_EQ(stats->findings.size(), 1u) << v.name;
+      EXPECT_EQ(stats->findings[0].kind, "overlaps");
+      const std::string line = lineOf(stats->findings[0]);
+      const auto names = [&](const char* it) { return line.find(it) != std::string::npos; };
+      EXPECT_TRUE(names("wall") || names("sheet")) << line;
     }
 }
 

@@ -148,7 +148,7 @@ TEST(Density, AClosedFurnaceKeepsItsClosedFormAtEveryLevel) {
     std::filesystem::create_directories(folder);
     const auto stats = bakeWorld(statueRoom(density, {1, 1, 1}, 0.8f), {.cell_m = 0.19f, .rays = 64, .quanta = 64}, (folder / "w.ffm").string());
     ASSERT_TRUE(stats);
-    EXPECT_TRUE(stats->warnings.empty() && stats->not_modelled.empty());
+    EXPECT_TRUE(stats->warnings.empty() && stats->findings.empty());
     auto world = formats::WholeWorld::open((folder / "w.ffm").string());
     ASSERT_TRUE(world);
     ASSERT_GE(world->levels().size(), 2u);
@@ -207,7 +207,7 @@ TEST(Density, IsChosenByNameRoundedToAPowerOfTwoAndPartOfTheKey) {
   EXPECT_FALSE(clean({})->scene);
   const auto two = clean({{"stat*", 2}}), four = clean({{"stat*", 2}, {"statue", 4}});
   ASSERT_TRUE(two && four && two->scene && four->scene);
-  EXPECT_TRUE(two->notes.empty());
+  EXPECT_TRUE(two->findings.empty());
   const auto of = [](const Scene& scene, uint32_t t) { return scene.materials[scene.triangles[t].material].density; };
   EXPECT_EQ(of(*two->scene, 12), 2);   // the statue
   EXPECT_EQ(of(*two->scene, 11), 1);   // the room
@@ -217,9 +217,9 @@ TEST(Density, IsChosenByNameRoundedToAPowerOfTwoAndPartOfTheKey) {
 
   const auto three = clean({{"statue", 3}});
   ASSERT_TRUE(three);
-  ASSERT_EQ(three->notes.size(), 1u);
-  EXPECT_NE(three->notes[0].find("3 is rounded to 4"), std::string::npos) << three->notes[0];
-  EXPECT_NE(three->notes[0].find("statue"), std::string::npos);
+  ASSERT_EQ(three->findings.size(), 1u);
+  EXPECT_NE(three->findings[0].what.find("3 is rounded to 4"), std::string::npos) << three->findings[0].what;
+  EXPECT_NE(three->findings[0].places.at(0).name.find("statue"), std::string::npos);
   EXPECT_NE(bakeKey(*three->scene, {}, 1), bakeKey(*two->scene, {}, 1));  // the same triangles of the same materials
   EXPECT_EQ(cutAt(*three->scene, kCell).patches.size(), cutAt(*four->scene, kCell).patches.size());
 

@@ -23,6 +23,18 @@ TEST(FormFactor, ParallelUnitSquaresAtDistanceOneMatchTheClosedForm) {
   EXPECT_NEAR(formFactor(c, 1, 0), 0.199824895698, allowed(0.2, c, 1));
 }
 
+// The limits of the README: patches of 1 cm and of 100 m, where a metre is no power of two of either.
+TEST(FormFactor, PatchesOfACentimetreAndOfAHundredMetresMatchTheClosedForm) {
+  for (const float patch_m : {0.01f, 100.0f}) {
+    Scene s = parallelSquares();
+    for (Vec3& p : s.positions) p *= 4 * patch_m;
+    const CastScene c = cast(s, patch_m, 16384);
+    EXPECT_EQ(c.set.patches.size(), 32u) << patch_m;
+    EXPECT_NEAR(formFactor(c, 0, 1), 0.199824895698, allowed(0.2, c, 0)) << patch_m;
+    EXPECT_NEAR(formFactor(c, 1, 0), 0.199824895698, allowed(0.2, c, 1)) << patch_m;
+  }
+}
+
 TEST(FormFactor, PerpendicularUnitSquaresWithACommonEdgeMatchTheClosedForm) {
   const CastScene c = cast(perpendicularSquares(), 0.25f, 16384);
   EXPECT_NEAR(formFactor(c, 0, 1), 0.200043776075, allowed(0.2, c, 0));

@@ -51,7 +51,8 @@ inline Light lightIn(const Scene& scene, const Variant& v, std::vector<std::stri
                      float cell_m = 0.5f, uint32_t rays = 512, Vec3 at = {}) {
   auto clean = cleanUp(scene, settings);
   EXPECT_TRUE(clean);
-  notes = clean->notes;
+  notes.clear();
+  for (const Finding& finding : clean->findings) notes.push_back(lineOf(finding));
   const CastScene c = cast(clean->scene ? *clean->scene : scene, cell_m * v.scale, rays);
   const size_t n = c.set.patches.size();
   std::vector<double> direct(n), e;

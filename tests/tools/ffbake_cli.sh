@@ -39,4 +39,41 @@ read -r fine _ <<<"$(bake_to --target-error 1.5%)"
 read -r most _ <<<"$(bake_to --target-error 0.1% --rays 300)"
 [ "$coarse" -lt "$fine" ] && [ "$least" = 256 ] && [ "$most" -le 300 ] || fail "rays by error: $coarse (least $least), $fine, $most"
 rm -f w.*
+# What is odd about a scene: one line a kind, and the same for programs. A ground; above it a cube without a side, and a cube twice at one place.
+python3 - <<'PY'
+import json, struct
+faces = [((0,0,0),(1,0,0),(1,0,1),(0,0,1)), ((0,0,0),(0,0,1),(0,1,1),(0,1,0)), ((1,0,0),(1,1,0),(1,1,1),(1,0,1)), ((0,0,0),(0,1,0),(1,1,0),(1,0,0)),
+         ((0,0,1),(1,0,1),(1,1,1),(0,1,1)), ((0,1,0),(0,1,1),(1,1,1),(1,1,0))]
+def quad(p): return [p[0], p[1], p[2], p[0], p[2], p[3]]
+def cube(at, without=None): return [(x + at[0], y + at[1], z + at[2]) for i, f in enumerate(faces) if i != without for x, y, z in quad(f)]
+meshes = [("ground", quad([(-9, 0, -9), (-9, 0, 9), (9, 0, 9), (9, 0, -9)])), ("open crate", cube((3, 1, 0), 2)), ("crate", cube((0, 1, 0))), ("crate again", cube((0, 1, 1e-7)))]
+data, views, accessors = b"", [], []
+for name, corners in meshes:
+    part = b"".join(struct.pack("<3f", *c) for c in corners)
+    views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(part)})
+    accessors.append({"bufferView": len(views) - 1, "componentType": 5126, "count": len(corners), "type": "VEC3",
+                      "min": [min(c[k] for c in corners) for k in range(3)], "max": [max(c[k] for c in corners) for k in range(3)]})
+    data += part
+open("odd.bin", "wb").write(data)
+json.dump({"asset": {"version": "2.0"}, "buffers": [{"uri": "odd.bin", "byteLength": len(data)}], "bufferViews": views, "accessors": accessors, "scene": 0,
+           "scenes": [{"nodes": list(range(len(meshes)))}], "nodes": [{"name": m[0], "mesh": i} for i, m in enumerate(meshes)],
+           "meshes": [{"primitives": [{"attributes": {"POSITION": i}, "material": 0}]} for i in range(len(meshes))],
+           "materials": [{"name": "grey", "pbrMetallicRoughness": {"metallicFactor": 0}, "extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}}],
+           "extensionsUsed": ["KHR_materials_clearcoat"]}, open("odd.gltf", "w"))
+PY
+expect 0 "$ffbake" odd.gltf -o w.ffm --patch-size 0.5 --rays 64 --no-cache --quiet --json
+[ "$(grep -c 'warning: ' err.txt)" = 2 ] || fail "not a line a kind: $(cat err.txt)"
+python3 - <<'PY' || fail "findings: $(cat out.txt)"
+import json
+found = {f["kind"]: f for f in json.load(open("out.txt"))["findings"]}
+assert sorted(found) == ["duplicates", "not_modelled", "open_edges"], found
+assert found["duplicates"]["count"] == 12 and found["open_edges"]["count"] == 4 and found["not_modelled"]["count"] == 24, found
+for f in found.values():
+    assert 0 < f["share"] <= 1 and f["share_of"] == "surface" and f["what"] and f["counted"], f
+    assert all(len(p["at"]) == 3 and p["name"] and 0 < p["share"] <= 1 for p in f["places"]) and f["places"], f
+    assert f["what"] in open("err.txt").read() or f["kind"] == "not_modelled", f
+at, name = found["open_edges"]["places"][0]["at"], found["open_edges"]["places"][0]["name"]
+assert at[0] == 4 and 1 <= at[1] <= 2 and "open crate" in name, (at, name)
+PY
+rm -f w.*
 echo "ffbake: objects are chosen by name or refused"

@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 
 #include <algorithm>
+#include <utility>
 
 namespace ff::tools {
 namespace {
@@ -16,25 +17,35 @@ std::string shown(std::string name) {
 }
 
 // The last block: nothing where there is nothing to say.
-void printNotModelled(const std::vector<bake::NotModelled>& lines) {
+void printNotModelled(const std::vector<bake::Finding>& findings) {
   constexpr size_t kMaxNames = 8;
-  if (!lines.empty()) fmt::print("not modelled here\n");
-  for (const auto& line : lines) {
-    fmt::print("  {}\n", shown(line.what));
-    if (line.names.empty()) continue;
-    fmt::print("    {} {}, {} triangles, {:.3g} % of the surface:", line.names.size(),
-               line.names.size() == 1 ? "material" : "materials", line.triangles, line.area_share * 100);
-    for (size_t i = 0; i < std::min(kMaxNames, line.names.size()); ++i)
-      fmt::print("{} {}", i == 0 ? "" : ",", shown(line.names[i]));
-    if (line.names.size() > kMaxNames) fmt::print(" and {} more", line.names.size() - kMaxNames);
+  const char* title = "not modelled here\n";
+  for (const bake::Finding& f : findings) {
+    if (f.kind != "not_modelled") continue;
+    fmt::print("{}  {}\n", std::exchange(title, ""), shown(f.what));
+    if (f.places.empty()) continue;
+    fmt::print("    {} {}, {} triangles, {:.3g} % of the surface: ", f.places.size(), f.places.size() == 1 ? "material" : "materials", f.count, f.share * 100);
+    for (size_t i = 0; i < std::min(kMaxNames, f.places.size()); ++i) {
+      const bake::FoundPlace& place = f.places[i];
+      fmt::print("{}{}{}", i == 0 ? "" : ", ", shown(place.name), place.at && i < bake::kMaxPlaces ? " (at " + bake::textOf(*place.at) + ")" : "");
+    }
+    if (f.places.size() > kMaxNames) fmt::print(" and {} more", f.places.size() - kMaxNames);
     fmt::print("\n");
   }
 }
 
-nlohmann::json toJson(const std::vector<bake::NotModelled>& lines) {
+nlohmann::json toJson(const std::vector<bake::Finding>& findings) {
   nlohmann::json out = nlohmann::json::array();
-  for (const auto& line : lines)
-    out.push_back({{"what", line.what}, {"triangles", line.triangles}, {"area_share", line.area_share}, {"materials", line.names}});
+  for (const bake::Finding& f : findings) {
+    nlohmann::json places = nlohmann::json::array();
+    for (const bake::FoundPlace& place : f.places) {
+      nlohmann::json entry{{"name", place.name}, {"share", place.share}};
+      if (place.at) entry["at"] = *place.at;
+      places.push_back(std::move(entry));
+    }
+    out.push_back({{"kind", f.kind}, {"what", f.what}, {"count", f.count}, {"counted", f.counted}, {"share", f.share}, {"share_of", f.share_of},
+                   {"places", places}, {"more_places", f.more_places}, {"remedy", f.remedy}});
+  }
   return out;
 }
 
@@ -43,6 +54,14 @@ nlohmann::json toJson(const bake::UnitCounts& units) {
 }
 
 }  // namespace
+
+std::vector<std::string> warningsOf(const bake::BakeStats& stats) {
+  std::vector<std::string> lines;
+  for (const bake::Finding& f : stats.findings)
+    if (f.kind != "not_modelled") lines.push_back(shown(lineOf(f)));
+  lines.insert(lines.end(), stats.warnings.begin(), stats.warnings.end());
+  return lines;
+}
 
 uint64_t peakBytes() {
   rusage usage{};
@@ -77,7 +96,7 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
                static_cast<double>(cache_bytes) * 1e-6);
     if (s.ray_units.by_others > 0) fmt::print("  {} were cast by other ranks\n", s.ray_units.by_others);
   }
-  printNotModelled(s.not_modelled);
+  printNotModelled(s.findings);
 }
 
 nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64_t cache_bytes) {
@@ -93,7 +112,7 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
           {"clamped_nodes", s.clamped_nodes},
           {"triangles_without_area", s.without_area},
           {"warnings", s.warnings},
-          {"not_modelled", toJson(s.not_modelled)},
+          {"findings", toJson(s.findings)},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"seconds_by_phase", seconds_by_phase}, {"peak_bytes", peakBytes()},
           {"ray_units", toJson(s.ray_units)}, {"cache_bytes", cache_bytes},

@@ -3,11 +3,15 @@
 #include <cstdint>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "bake/bake.h"
 #include "tools/bake/progress.h"
 
 namespace ff::tools {
+
+// What is odd, a line each; what is not modelled is in the summary.
+std::vector<std::string> warningsOf(const bake::BakeStats& stats);
 
 // cache_bytes: of the files in the bake cache; 0: there is none.
 void printSummary(const bake::BakeStats& stats, const std::string& world, const PhaseTimes& phases, uint64_t cache_bytes);

@@ -252,7 +252,9 @@ TEST(Import, TrianglesWithoutAreaAreDroppedAndCounted) {
                   "VEC3");
   const Scene scene = importGood(file.save(folder, "d.glb"));
   EXPECT_EQ(scene.triangles.size(), 1u);
-  EXPECT_TRUE(warns(scene, "2 triangles without area"));
+  EXPECT_EQ(scene.without_area, 2u);
+  ASSERT_EQ(scene.without_area_at.size(), 2u);
+  EXPECT_EQ(scene.without_area_at[0].at, (std::array<double, 3>{1, 1, 1}));
 }
 
 TEST(Import, WithoutScenesEveryRootIsLoaded) {

@@ -42,6 +42,21 @@ TEST(BakeCache, HoldsWhatWasStored) {
   EXPECT_FALSE(cache->load("rays", {1, 3}));
 }
 
+TEST(BakeCache, IsLookedIntoWithoutATrace) {
+  const formats::TemporaryFolder folder;
+  auto absent = BakeCache::peek(folder.file("c"));
+  ASSERT_TRUE(absent);
+  EXPECT_EQ((*absent)->bytes(), 0u);
+  EXPECT_FALSE((*absent)->load("rays", {1, 2}));
+  EXPECT_FALSE(std::filesystem::exists(folder.file("c")));
+  const auto cache = open(folder.file("c"));
+  cache->store("rays", {1, 2}, some(10, 7));
+  auto there = BakeCache::peek(folder.file("c"));
+  ASSERT_TRUE(there);
+  EXPECT_EQ((*there)->bytes(), cache->bytes());
+  EXPECT_EQ((*there)->load("rays", {1, 2}), some(10, 7));
+}
+
 TEST(BakeCache, KeepsToItsLimitAndLeavesWhatThisBakeUses) {
   const formats::TemporaryFolder folder;
   for (uint64_t k = 0; k < 10; ++k) open(folder.file("c"))->store("rays", {0, k}, some(1000, 1));
