@@ -17,13 +17,11 @@ inline SineCosine sineCosineOfTurns(double turns) {
   if (!(std::abs(turns) < 0x1p60)) turns = 0;  // whole turns, or no number
   const auto quarters = static_cast<int64_t>(4 * turns + std::copysign(0.5, turns));
   const double x = (turns - static_cast<double>(quarters) / 4) * (2 * std::numbers::pi), x2 = x * x;
-  double s = 0, c = 0;  // Taylor's series; |x| <= pi / 4, and pi / 4 ^ 18 / 18! < 2^-58
-  for (int n = 16; n > 0; n -= 2) {
-    s = (1 - s) * x2 * (1.0 / (n * (n + 1)));
-    c = (1 - c) * x2 * (1.0 / (n * (n - 1)));
-  }
-  s = (1 - s) * x;
-  c = 1 - c;
+  // Taylor's series of both; |x| <= pi / 4, and pi / 4 ^ 18 / 18! < 2^-58
+  using Both [[gnu::vector_size(16)]] = double;
+  Both both{};
+  for (int n = 16; n > 0; n -= 2) both = (1 - both) * x2 * Both{1.0 / (n * (n + 1)), 1.0 / (n * (n - 1))};
+  const double s = (1 - both[0]) * x, c = 1 - both[1];
   switch (quarters & 3) {
     case 0: return {s, c};
     case 1: return {c, -s};

@@ -58,11 +58,20 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
-        : count(s.set.patches.size()), points(s.budget.rays), sky(kMaxTogether), caster(s.caster),
+        : count(s.set.patches.size()), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxTogether), caster(s.caster),
           lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light), leaks(s.set.cell_m) {}
+
+    // The first so many points' rays and hits.
+    void castFrom(size_t n) {
+      std::transform(points.begin(), points.begin() + static_cast<ptrdiff_t>(n), rays.begin(), cosineRay);
+      caster.nearest(std::span(rays).first(n), std::span(hits).first(n));
+    }
+
     std::vector<uint16_t> count;     // per patch of the set, zero between rows
     std::vector<uint32_t> touched;
     std::vector<SurfacePoint> points;
+    std::vector<Ray> rays;           // from them
+    std::vector<Hit> hits;           // of them
     std::vector<SkyRays> sky;        // of patches together
     RayCaster caster;                // leaves the trail of the range
     LampLight lamps;
@@ -124,8 +133,9 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
     const uint32_t patch = begin + static_cast<uint32_t>(mix64(set.patches[begin].name) % std::min(step, end - begin));
     surfacePoints(scene, set, patch, sobol, seed, caster, std::span(s.points).first(kLeastRays));
     s.error.clear();
+    s.castFrom(kLeastRays);
     for (uint32_t k = 0; k < kLeastRays; ++k) {
-      const Hit hit = s.caster.nearest(cosineRay(s.points[k]));
+      const Hit& hit = s.hits[k];
       if (hit.triangle == kNone) s.error.sky();
       else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.error.hit(2 * k >= kLeastRays, j);
     }
@@ -151,10 +161,11 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
     sky.main.clear();
     s.sight.clear();
     std::array<uint32_t, kNarrowCells.size()> near{};
+    s.castFrom(rays);
     for (size_t k = 0; k < rays; ++k) {
       const SurfacePoint& from = points[k];
-      const Ray ray = cosineRay(from);
-      const Hit hit = s.caster.nearest(ray);
+      const Ray& ray = s.rays[k];
+      const Hit& hit = s.hits[k];
       if (hit.triangle == kNone) {
         ++rows.sky[i];
         s.error.sky();
@@ -177,7 +188,7 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
       }
       if (s.count[j]++ == 0) s.touched.push_back(j);
       s.error.hit(2 * k >= rays, j);
-      if (set.patches[j].emits()) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
+      if (lamps.leafOf(j) != kNone) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
     }
     for (auto* reached : {&sky.look, &sky.main})
       for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);

@@ -59,17 +59,14 @@ void LampLight::aim(uint32_t patch, uint32_t rays) {
   surfacePoints(scene_, set_, patch, sobol_, seed_ ^ kLookSeed, caster_, points_);
   std::vector<double> seen(aims_.size(), kSeenBefore), cast(aims_.size(), 1), square(aims_.size());
   double mean = 0;
-  for (size_t k = 0; k < points_.size(); ++k) {
-    const double choice = (static_cast<double>(k) + 0.5) / static_cast<double>(points_.size());
-    const size_t a = static_cast<size_t>(std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), choice * cumulative_.back()),
-                                                  cumulative_.end() - 1) - cumulative_.begin());
-    const Sample s = sample(points_[k], choice);
-    cast[a] += 1;
-    if (!(s.arriving > 0) || !sees(points_[k], s.to)) continue;
-    seen[a] += 1;
+  castTowards(0.5);
+  for (const Sample& s : samples_) {
+    cast[s.aim] += 1;
+    if (!(s.arriving > 0)) continue;
+    seen[s.aim] += 1;
     const double light = luminance(set_.patches[s.to.patch].emission) * s.arriving / s.density;
     mean += light;
-    square[a] += light * light;
+    square[s.aim] += light * light;
   }
   const auto n = static_cast<double>(points_.size());
   mean /= n;
@@ -93,6 +90,7 @@ LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) con
   const double before = a > 0 ? cumulative_[a - 1] : 0;
   const double within = chance_[a] > 0 ? std::clamp((x - before) / chance_[a], 0.0, 0x1.fffffep-1) : 0.5;
   Sample s;
+  s.aim = a;
   s.to = tree_.point(aims_[a].node, static_cast<float>(within), from.u, from.v);
   const Vec3 way = s.to.position - from.position;
   const double square = static_cast<double>(dot(way, way)), distance = std::sqrt(square);
@@ -104,14 +102,32 @@ LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) con
   return s;
 }
 
-bool LampLight::sees(const SurfacePoint& from, const LampTree::Point& to) const {
-  if (scene_.materials[scene_.triangles[to.triangle].material].cutout) {  // points are spread over the whole, holes included
-    const auto [b, c] = barycentric(scene_, to.triangle, to.position);
-    if (isHole(scene_, to.triangle, b, c)) return false;
+void LampLight::castTowards(double offset) {
+  samples_.clear();
+  ways_.clear();
+  way_to_.clear();
+  for (size_t k = 0; k < points_.size(); ++k) {
+    const SurfacePoint& from = points_[k];
+    Sample& s = samples_.emplace_back(sample(from, (static_cast<double>(k) + offset) / static_cast<double>(points_.size())));
+    if (!(s.arriving > 0)) continue;
+    const LampTree::Point& to = s.to;
+    bool hole = false;  // points are spread over the whole, holes included
+    if (scene_.materials[scene_.triangles[to.triangle].material].cutout) {
+      const auto [b, c] = barycentric(scene_, to.triangle, to.position);
+      hole = isHole(scene_, to.triangle, b, c);
+    }
+    const Vec3 end = to.position + to.normal * caster_.surfaceOffset(to.triangle), way = end - from.position;
+    const float distance = length(way);
+    if (hole || !(distance > 0)) {
+      s.arriving = 0;
+      continue;
+    }
+    ways_.push_back({{from.position, way / distance}, distance});
+    way_to_.push_back(k);
   }
-  const Vec3 end = to.position + to.normal * caster_.surfaceOffset(to.triangle), way = end - from.position;
-  const float distance = length(way);
-  return distance > 0 && !caster_.occluded({from.position, way / distance}, distance);
+  caster_.occlude(ways_);
+  for (size_t w = 0; w < ways_.size(); ++w)
+    if (ways_[w].occluded) samples_[way_to_[w]].arriving = 0;
 }
 
 void LampLight::add(uint32_t emitter, double weight) {
@@ -145,10 +161,9 @@ void LampLight::hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& 
 std::vector<LampIrradiance> LampLight::finish() {
   points_.resize(count_);
   if (count_ > 0) surfacePoints(scene_, set_, patch_, sobol_, seed_ ^ kCastSeed, caster_, points_);
-  const double offset = unitOf(mix64(seed_ ^ kCastSeed) + set_.patches[patch_].name);
-  for (uint32_t k = 0; k < count_; ++k) {
-    const Sample s = sample(points_[k], (k + offset) / count_);
-    if (!(s.arriving > 0) || !sees(points_[k], s.to)) continue;
+  castTowards(unitOf(mix64(seed_ ^ kCastSeed) + set_.patches[patch_].name));
+  for (const Sample& s : samples_) {
+    if (!(s.arriving > 0)) continue;
     const double own = s.arriving * std::numbers::inv_pi;
     add(s.to.patch, own * powerWeight(count_ * s.density, row_rays_ * own) / (count_ * s.density));
   }

@@ -40,11 +40,13 @@ class LampLight {
  private:
   struct Sample {
     LampTree::Point to;
+    size_t aim = 0;        // of aims_
     double arriving = 0;   // cosine at the patch; 0: dark
     double density = 0;    // per steradian of the whole mixture of aims
   };
   Sample sample(const SurfacePoint& from, double choice) const;
-  bool sees(const SurfacePoint& from, const LampTree::Point& to) const;
+  // Sets samples_: of points_, one each, stratified by `offset`, 0 to 1; dark where something is in the way.
+  void castTowards(double offset);
   void add(uint32_t emitter, double weight);
 
   const Scene& scene_;
@@ -59,6 +61,9 @@ class LampLight {
   std::vector<double> chance_, cumulative_;  // by aim
   std::vector<uint32_t> aim_of_node_;        // by node of the tree; valid where aims_[aim].node == node
   std::vector<SurfacePoint> points_;
+  std::vector<Sample> samples_;
+  std::vector<SightLine> ways_;    // to those that are not dark
+  std::vector<size_t> way_to_;   // sample, by way
   std::vector<LampIrradiance> light_;
 };
 

@@ -87,6 +87,7 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
   whole.bounds.add(b.bounds);
   whole.normals = joined(a.normals, b.normals);
   whole.power = a.power + b.power;
+  whole.left_share = a.power / whole.power;
   return at;
 }
 
@@ -127,7 +128,7 @@ void LampTree::aimsOf(const Receiver& receiver, std::vector<Aim>& aims) const {
 LampTree::Point LampTree::point(uint32_t node, float u, float v, float w) const {
   uint32_t at = node;
   while (nodes_[at].patch == kNone) {
-    const float left = nodes_[nodes_[at].left].power / nodes_[at].power;
+    const float left = nodes_[at].left_share;
     if (u < left) {
       u /= left;
       at = nodes_[at].left;

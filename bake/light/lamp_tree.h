@@ -62,6 +62,7 @@ class LampTree {
     Box bounds;
     Cone normals;
     float power = 0, area_m2 = 0;  // area: of leaves, holes included
+    float left_share = 0;          // of the power
     uint32_t parent = kNone, left = 0, right = 0;
     uint32_t patch = kNone;        // of a leaf
   };

@@ -140,6 +140,8 @@ std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCas
   SkyGuide guide;
   std::vector<SurfacePoint> points;
   std::vector<const SkyRays::Ray*> passed;
+  std::vector<SightLine> ways;    // that are guided
+  std::vector<float> cosines;  // of them, at the surface
   const uint32_t looking = lookingRays(rays), main = rays - looking, guided = rays / kGuidedShare;
   for (uint32_t i = 0; i < found.size(); ++i) {
     const Patch& patch = set.patches[first + i];
@@ -178,11 +180,20 @@ std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCas
     points.resize(guided);
     surfacePoints(scene, set, first + i, sobol, seed ^ kSeed, caster, points);
     const double offset = unitOf(mix64(seed ^ kSeed) + patch.name);
+    ways.clear();
+    cosines.clear();
     for (uint32_t k = 0; k < guided; ++k) {
       const Vec3 direction = guide.direction((k + offset) / guided, points[k].u, points[k].v);
       const float cosine = dot(direction, points[k].normal);
-      if (!(cosine > 0) || caster.occluded({points[k].position, direction}, std::numeric_limits<float>::infinity())) continue;
-      const double row = static_cast<double>(cosine) * std::numbers::inv_pi, own = guided * guide.density(direction);
+      if (!(cosine > 0)) continue;
+      ways.push_back({{points[k].position, direction}, std::numeric_limits<float>::infinity()});
+      cosines.push_back(cosine);
+    }
+    caster.occlude(ways);
+    for (size_t k = 0; k < ways.size(); ++k) {
+      if (ways[k].occluded) continue;
+      const Vec3 direction = ways[k].ray.direction;
+      const double row = static_cast<double>(cosines[k]) * std::numbers::inv_pi, own = guided * guide.density(direction);
       sky[i].add(direction, row * powerWeight(own, main * row) / own);
     }
   }

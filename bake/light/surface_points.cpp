@@ -15,30 +15,37 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
   const auto seeds = SobolTable::seeds(seed, p.name);
-  std::vector<Vec3> normals;
-  normals.reserve(triangles.size());
-  for (const PatchTriangle& t : triangles) normals.push_back(normalized(cross(t.b - t.a, t.c - t.a)));
+  struct Facet {  // what every point needs of a triangle
+    Vec3 normal;
+    float offset_m;
+    float before_m2, end_m2;  // of the patch's area
+    bool cutout;
+  };
+  std::vector<Facet> facets;
+  facets.reserve(triangles.size());
+  for (float before_m2 = 0; const PatchTriangle& t : triangles) {
+    const bool cutout = scene.materials[scene.triangles[t.source].material].cutout;
+    facets.push_back({normalized(cross(t.b - t.a, t.c - t.a)), caster.surfaceOffset(t.source), before_m2, t.cumulative_area, cutout});
+    before_m2 = t.cumulative_area;
+  }
   for (uint32_t i = 0; i < points.size(); ++i) {
     const auto u = sobol.point(i, seeds);
     float pick = u[0], v = u[1];
-    const PatchTriangle* t = nullptr;
+    const Facet* facet = nullptr;
     Vec3 position;
     for (int attempt = 0; attempt < 16; ++attempt) {  // again where a cutout has a hole
       const float x = pick * whole;
-      const auto at = std::upper_bound(triangles.begin(), triangles.end(), x,
-                                       [](float a, const PatchTriangle& q) { return a < q.cumulative_area; });
-      t = at == triangles.end() ? &triangles.back() : &*at;
-      const float before = at == triangles.begin() ? 0.0f : (t - 1)->cumulative_area;
-      const float own = t->cumulative_area - before;
-      position = pointInTriangle(t->a, t->b, t->c, own > 0 ? std::clamp((x - before) / own, 0.0f, 1.0f) : 0.5f, v);
-      if (!scene.materials[scene.triangles[t->source].material].cutout) break;
-      const auto [b, c] = barycentric(scene, t->source, position);
-      if (mayStart(scene, t->source, b, c)) break;
+      facet = &*std::min(std::upper_bound(facets.begin(), facets.end(), x, [](float m2, const Facet& f) { return m2 < f.end_m2; }), facets.end() - 1);
+      const PatchTriangle& t = triangles[static_cast<size_t>(facet - facets.data())];
+      const float own = facet->end_m2 - facet->before_m2;
+      position = pointInTriangle(t.a, t.b, t.c, own > 0 ? std::clamp((x - facet->before_m2) / own, 0.0f, 1.0f) : 0.5f, v);
+      if (!facet->cutout) break;
+      const auto [b, c] = barycentric(scene, t.source, position);
+      if (mayStart(scene, t.source, b, c)) break;
       pick = std::fmod(pick + 0.6180339887f, 1.0f);
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
-    const Vec3 normal = normals[static_cast<size_t>(t - triangles.data())];
-    points[i] = {position + normal * caster.surfaceOffset(t->source), normal, u[2], u[3]};
+    points[i] = {position + facet->normal * facet->offset_m, facet->normal, u[2], u[3]};
   }
 }
 

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 #include <mutex>
+#include <numeric>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -16,10 +18,12 @@ namespace ff::bake {
 namespace {
 
 constexpr size_t kWide = TriangleBlock::kTriangles;
+constexpr size_t kTogether = RayPacket::kRays;  // that Embree takes at once
 
 // Embree's test of boxes differs between instruction sets. It works axis by axis with a reciprocal of the direction that is an estimate and
 // one step of Newton's (right to 2^-21.6 of itself), and rounds what is at most twice as large as the coordinate of box or origin. So it
-// is off by 1e-6 of the largest coordinate on an axis, where an origin is at most kReach times as far out. Boxes are wider than that: all
+// is off by 1e-6 of the largest coordinate on an axis, where an origin is at most kReach times as far out. Rays that it takes together it tests by
+// their largest and smallest origin and reciprocal first, in the same way, so that a box is displaced by no more. Boxes are wider than that: all
 // instruction sets find a triangle that meet() meets.
 constexpr float kMargin = 1.2e-6f, kReach = 1.25f;
 // Where axes are shorter than that of the longest, they count as so long: directions below 1e-18 are taken for 1e-18.
@@ -41,6 +45,27 @@ Vec3 normalOf(const Corners& corners) { return cross(corners[1] - corners[0], co
 Corners cornersOf(const Scene& scene, uint32_t triangle) {
   const auto& v = scene.triangles[triangle].v;
   return {scene.positions[v[0]], scene.positions[v[1]], scene.positions[v[2]]};
+}
+
+// An order of rays in which neighbours go about the same way: cell by cell of each octant's part of the octahedral map of directions.
+template <class RayOf>
+std::vector<uint32_t> byDirection(size_t rays, RayOf rayOf) {
+  constexpr uint32_t kCells = 16;  // a side
+  constexpr std::array<uint8_t, kCells> kSpread = {0, 1, 4, 5, 16, 17, 20, 21, 64, 65, 68, 69, 80, 81, 84, 85};  // the bits of 0, 1, 2 ..., spread
+  std::vector<uint16_t> cell(rays);
+  std::array<uint32_t, 8 * kCells * kCells + 1> start{};
+  for (size_t i = 0; i < rays; ++i) {
+    const Vec3& d = rayOf(i).direction;
+    const float x = std::abs(d.x), y = std::abs(d.y), scale = kCells / (x + y + std::abs(d.z));
+    const auto place = [&](float v) { return kSpread[static_cast<size_t>(std::min(kCells - 1.0f, v * scale))]; };
+    const unsigned octant = std::signbit(d.x) | std::signbit(d.y) << 1 | std::signbit(d.z) << 2;
+    cell[i] = static_cast<uint16_t>(octant * kCells * kCells + place(x) + 2u * place(y));
+    ++start[cell[i] + 1u];
+  }
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  std::vector<uint32_t> order(rays);
+  for (uint32_t i = 0; i < rays; ++i) order[start[cell[i]]++] = i;
+  return order;
 }
 
 }  // namespace
@@ -74,9 +99,10 @@ struct RayCaster::State {
     return scene->backs != Backs::kReflect && scene->materials[scene->triangles[triangle].material].double_sided;
   }
 
-  // How far a ray goes before it comes near the scene, m: 0 for all that start there, infinite for what goes away.
+  // How far a ray goes before it comes near the scene, m: 0 for all that start there, infinite for what goes away or is no number, which Embree does
+  // not take.
   double wayTo(const Ray& ray) const {
-    double way = 0;
+    double way = std::isfinite(dot(ray.origin, ray.direction)) ? 0 : std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
       const double outside = static_cast<double>(std::abs(ray.origin[axis]) - kReach * largest[axis]);
       const double inward = static_cast<double>(std::copysign(1.0f, -ray.origin[axis]) * ray.direction[axis]);
@@ -87,57 +113,49 @@ struct RayCaster::State {
 
   // One ray under way, and the nearest of what it has met.
   struct Cast {
-    RTCIntersectContext embree;  // first: Embree hands back a pointer to it
-    const State* state;
     Ray ray;
-    BlockRay block_ray;
     bool facing;
     uint32_t triangle = kNone;
     bool front = true;
     double from_m, to_m;
     double way_m;  // from the ray's origin to Embree's
 
-    Cast(const State& s, const Ray& r, float from, float to, bool facing_only)
-        : state(&s), ray(r), block_ray(r), facing(facing_only), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)),
-          way_m(s.wayTo(r)) {
-      rtcInitIntersectContext(&embree);  // INCOHERENT is its default; COHERENT halves the speed of diffuse rays
-    }
-    static Cast& of(RTCIntersectContext* context) { return *reinterpret_cast<Cast*>(context); }
+    Cast(const State& state, const Ray& r, float from, float to, bool facing_only)
+        : ray(r), facing(facing_only), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)), way_m(state.wayTo(r)) {}
 
-    RTCRay embreeRay() const {  // if it comes near
-      RTCRay r;
+    bool comesNear() const { return way_m < to_m; }
+    float upTo() const { return up(to_m - way_m); }  // as far as Embree's ray goes
+
+    // As ray i of n, with that number.
+    void put(RTCRayN* to, unsigned n, unsigned i) const {
       const auto moved = [&](float at, float along) {
         return way_m > 0 ? static_cast<float>(static_cast<double>(at) + way_m * static_cast<double>(along)) : at;
       };
-      r.org_x = moved(ray.origin.x, ray.direction.x);
-      r.org_y = moved(ray.origin.y, ray.direction.y);
-      r.org_z = moved(ray.origin.z, ray.direction.z);
-      r.dir_x = ray.direction.x;
-      r.dir_y = ray.direction.y;
-      r.dir_z = ray.direction.z;
-      r.tnear = way_m > 0 ? 0 : static_cast<float>(from_m);
-      r.tfar = up(to_m - way_m);
-      r.mask = ~0u;
-      r.time = 0;
-      r.flags = 0;
-      return r;
+      RTCRayN_org_x(to, n, i) = moved(ray.origin.x, ray.direction.x);
+      RTCRayN_org_y(to, n, i) = moved(ray.origin.y, ray.direction.y);
+      RTCRayN_org_z(to, n, i) = moved(ray.origin.z, ray.direction.z);
+      RTCRayN_dir_x(to, n, i) = ray.direction.x;
+      RTCRayN_dir_y(to, n, i) = ray.direction.y;
+      RTCRayN_dir_z(to, n, i) = ray.direction.z;
+      RTCRayN_tnear(to, n, i) = way_m > 0 ? 0 : static_cast<float>(from_m);
+      RTCRayN_tfar(to, n, i) = upTo();
+      RTCRayN_mask(to, n, i) = ~0u;
+      RTCRayN_time(to, n, i) = 0;
+      RTCRayN_flags(to, n, i) = 0;
+      RTCRayN_id(to, n, i) = i;
     }
 
-    bool comesNear() const { return way_m < to_m; }
-
-    // Whether any of a block is nearer, or as near and lower in number, than what was met before.
-    bool meetBlock(size_t number) {
-      const Corners* corners = &state->block_corners[kWide * number];
-      __builtin_prefetch(corners);
-      __builtin_prefetch(corners + 2);
-      const TriangleBlock& block = state->blocks[number];
+    // Whether one of a block is nearer, or as near and lower in number, than what was met before. may_meet: a bit for each.
+    bool meetBlock(const State& state, size_t number, unsigned may_meet) {
+      const Corners* corners = &state.block_corners[kWide * number];
+      const TriangleBlock& block = state.blocks[number];
       bool any = false;
-      for (unsigned in = mayMeet(block, block_ray, static_cast<float>(from_m), up(to_m)); in; in &= in - 1) {
+      for (unsigned in = may_meet; in; in &= in - 1) {
         const auto i = static_cast<size_t>(__builtin_ctz(in));
         const auto hit = meet(ray, corners[i], from_m);
         if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.triangle[i] > triangle)) continue;
         const bool on_front = dot(normalOf(corners[i]), ray.direction) < 0;
-        if (!state->stops(block.triangle[i], *hit, on_front, facing)) continue;
+        if (!state.stops(block.triangle[i], *hit, on_front, facing)) continue;
         triangle = block.triangle[i];
         front = on_front;
         to_m = hit->distance_m;
@@ -146,10 +164,96 @@ struct RayCaster::State {
       return any;
     }
 
+    // A blocker is enough, wherever else another comes to stand.
+    void leaveOccluded(RayTrail* trail, float distance_m) const {
+      if (trail && triangle != kNone) trail->add({hit().point, ray.direction}, 0);
+      else if (trail) trail->add(ray, static_cast<double>(distance_m));
+    }
+
     Hit hit() const {
+      if (triangle == kNone) return {};
       return {triangle, front, ray.origin + ray.direction * static_cast<float>(to_m)};
     }
   };
+
+  // Rays that Embree takes together.
+  struct Together {
+    RTCIntersectContext embree;  // first: Embree hands back a pointer to it
+    const State& state;
+    Cast* casts;                                     // by the number that Embree's rays have
+    alignas(64) std::array<float, kTogether> error;  // RayPacket::error
+
+    Together(const State& s, Cast* c) : state(s), casts(c) { rtcInitIntersectContext(&embree); }
+    static Together& of(RTCIntersectContext* context) { return *reinterpret_cast<Together*>(context); }
+
+    // f(place of a ray, its cast) for those that a block stops nearer than anything did before.
+    template <class F>
+    void meetBlock(RTCRayN* rays, unsigned n, const int* valid, unsigned number, F f) const {
+      const TriangleBlock& block = state.blocks[number];
+      __builtin_prefetch(&state.block_corners[kWide * number]);
+      __builtin_prefetch(&state.block_corners[kWide * number + 2]);
+      if (n == kTogether) {  // else 1, or as many as instruction sets before avx512 take
+        const RTCRay16& r = *reinterpret_cast<const RTCRay16*>(rays);
+        alignas(64) uint32_t may_meet[kTogether];
+        unsigned left = mayMeet(block, {r.org_x, r.org_y, r.org_z, r.dir_x, r.dir_y, r.dir_z, r.tnear, r.tfar, error.data(), valid}, may_meet);
+        for (; left; left &= left - 1) {
+          const auto i = static_cast<unsigned>(__builtin_ctz(left));
+          if (casts[i].meetBlock(state, number, may_meet[i])) f(i, casts[i]);
+        }
+        return;
+      }
+      for (unsigned i = 0; i < n; ++i) {
+        if (!valid[i]) continue;
+        Cast& cast = casts[RTCRayN_id(rays, n, i)];
+        const unsigned may_meet = mayMeet(block, BlockRay(cast.ray), static_cast<float>(cast.from_m), up(cast.to_m));
+        if (cast.meetBlock(state, number, may_meet)) f(i, cast);
+      }
+    }
+  };
+
+  // any: until something is met, whatever it is.
+  void find(Cast& cast, bool any) const {
+    if (!cast.comesNear()) return;
+    Together together(*this, &cast);
+    RTCRayHit ray;
+    cast.put(reinterpret_cast<RTCRayN*>(&ray.ray), 1, 0);
+    ray.hit.geomID = ray.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    if (any) rtcOccluded1(embree, &together.embree, &ray.ray);
+    else rtcIntersect1(embree, &together.embree, &ray);
+  }
+
+  // Up to kTogether that go about the same way.
+  void find(std::span<Cast> casts, bool any) const {
+    Together together(*this, casts.data());
+    together.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    alignas(64) RTCRayHit16 rays{};
+    alignas(64) std::array<int, kTogether> valid{};
+    for (unsigned i = 0; i < casts.size(); ++i) {
+      if (casts[i].way_m > 0) continue;
+      valid[i] = -1;
+      casts[i].put(reinterpret_cast<RTCRayN*>(&rays.ray), kTogether, i);
+      rays.hit.geomID[i] = rays.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
+      together.error[i] = originError(casts[i].ray.origin);
+    }
+    if (any) rtcOccluded16(valid.data(), embree, &together.embree, &rays.ray);
+    else rtcIntersect16(valid.data(), embree, &together.embree, &rays);
+    for (Cast& cast : casts)
+      if (cast.way_m > 0) find(cast, any);
+  }
+
+  // In that order of rays: castOf(ray) begins one, take(ray, cast) is told its end.
+  template <class CastOf, class Take>
+  void findAll(std::span<const uint32_t> order, bool any, CastOf castOf, Take take) const {
+    std::vector<Cast> casts;
+    casts.reserve(kTogether);
+    for (size_t from = 0; from < order.size(); from += kTogether) {
+      const auto now = order.subspan(from, std::min(kTogether, order.size() - from));
+      casts.clear();
+      for (const uint32_t i : now) casts.push_back(castOf(i));
+      find(std::span(casts), any);
+      for (size_t k = 0; k < now.size(); ++k) take(now[k], casts[k]);
+    }
+  }
 };
 
 // Embree's builder says which triangles go together best.
@@ -212,13 +316,12 @@ void RayCaster::State::attachBlocks() {
         *args->bounds_o = {lo.x, lo.y, lo.z, 0, hi.x, hi.y, hi.z, 0};
       },
       nullptr);
-  // rtcIntersect1 and rtcOccluded1 only: N is 1.
   rtcSetGeometryIntersectFunction(geometry, [](const RTCIntersectFunctionNArguments* args) {
-    Cast& cast = Cast::of(args->context);
-    if (cast.meetBlock(args->primID)) reinterpret_cast<RTCRayHit*>(args->rayhit)->ray.tfar = up(cast.to_m - cast.way_m);
+    RTCRayN* rays = RTCRayHitN_RayN(args->rayhit, args->N);
+    Together::of(args->context).meetBlock(rays, args->N, args->valid, args->primID, [&](unsigned i, const Cast& cast) { RTCRayN_tfar(rays, args->N, i) = cast.upTo(); });
   });
   rtcSetGeometryOccludedFunction(geometry, [](const RTCOccludedFunctionNArguments* args) {
-    if (Cast::of(args->context).meetBlock(args->primID)) reinterpret_cast<RTCRay*>(args->ray)->tfar = -kInfinity;
+    Together::of(args->context).meetBlock(args->ray, args->N, args->valid, args->primID, [&](unsigned i, const Cast&) { RTCRayN_tfar(args->ray, args->N, i) = -kInfinity; });
   });
   rtcCommitGeometry(geometry);
   rtcAttachGeometry(embree, geometry);
@@ -258,37 +361,51 @@ RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail) : stat
 
 RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail); }
 
-Hit RayCaster::nearest(const Ray& ray, float within_m) const {
+// Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
+Hit RayCaster::facing(const Hit& hit, const Ray& ray, float within_m, double distance_m) const {
   const Scene& scene = *state_->scene;
-  const auto hitWithin = [&](float from_m, float to_m, bool facing) {
-    State::Cast cast(*state_, ray, from_m, to_m, facing);
-    RTCRayHit rh;
-    rh.ray = cast.embreeRay();
-    rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    if (cast.comesNear()) rtcIntersect1(state_->embree, &cast.embree, &rh);
-    if (trail_) trail_->add(ray, cast.to_m);
-    return std::pair(cast.triangle == kNone ? Hit{} : cast.hit(), static_cast<float>(cast.to_m));
-  };
-  const auto [hit, distance_m] = hitWithin(0, within_m, scene.backs == Backs::kPass);
-  // Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
-  if (!hit.front && (scene.backs == Backs::kReflect || !scene.materials[scene.triangles[hit.triangle].material].double_sided)) {
-    const float steep = std::abs(dot(normalized(normalOf(cornersOf(scene, hit.triangle))), ray.direction));
-    const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f);
-    const Hit facing = hitWithin(std::max(0.0f, distance_m - reach), std::min(within_m, distance_m + reach), true).first;
-    if (facing.triangle != kNone) return facing;
-  }
-  return hit;
+  if (hit.front || (scene.backs != Backs::kReflect && scene.materials[scene.triangles[hit.triangle].material].double_sided)) return hit;
+  const float steep = std::abs(dot(normalized(normalOf(cornersOf(scene, hit.triangle))), ray.direction));
+  const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f), at = static_cast<float>(distance_m);
+  State::Cast cast(*state_, ray, std::max(0.0f, at - reach), std::min(within_m, at + reach), true);
+  state_->find(cast, false);
+  if (trail_) trail_->add(ray, cast.to_m);
+  return cast.triangle == kNone ? hit : cast.hit();
+}
+
+Hit RayCaster::nearest(const Ray& ray, float within_m) const {
+  State::Cast cast(*state_, ray, 0, within_m, state_->scene->backs == Backs::kPass);
+  state_->find(cast, false);
+  if (trail_) trail_->add(ray, cast.to_m);
+  return facing(cast.hit(), ray, within_m, cast.to_m);
+}
+
+void RayCaster::nearest(std::span<const Ray> rays, std::span<Hit> hits) const {
+  const bool passed = state_->scene->backs == Backs::kPass;
+  state_->findAll(
+      byDirection(rays.size(), [&](size_t i) -> const Ray& { return rays[i]; }), false, [&](size_t i) { return State::Cast(*state_, rays[i], 0, kInfinity, passed); },
+      [&](size_t i, const State::Cast& cast) {
+        if (trail_) trail_->add(cast.ray, cast.to_m);
+        hits[i] = facing(cast.hit(), cast.ray, kInfinity, cast.to_m);
+      });
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {
   State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass);
-  RTCRay r = cast.embreeRay();
-  if (cast.comesNear()) rtcOccluded1(state_->embree, &cast.embree, &r);
-  // A blocker is enough, wherever else another comes to stand.
-  if (trail_ && cast.triangle != kNone) trail_->add({cast.hit().point, ray.direction}, 0);
-  else if (trail_) trail_->add(ray, static_cast<double>(distance_m));
+  state_->find(cast, true);
+  cast.leaveOccluded(trail_, distance_m);
   return cast.triangle != kNone;
+}
+
+void RayCaster::occlude(std::span<SightLine> lines) const {
+  const bool passed = state_->scene->backs == Backs::kPass;
+  state_->findAll(
+      byDirection(lines.size(), [&](size_t i) -> const Ray& { return lines[i].ray; }), true,
+      [&](size_t i) { return State::Cast(*state_, lines[i].ray, 0, lines[i].length_m, passed); },
+      [&](size_t i, const State::Cast& cast) {
+        cast.leaveOccluded(trail_, lines[i].length_m);
+        lines[i].occluded = cast.triangle != kNone;
+      });
 }
 
 void RayCaster::near(Vec3 point, float distance_m, std::vector<uint32_t>& triangles) const {

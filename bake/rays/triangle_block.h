@@ -11,6 +11,7 @@
 namespace ff::bake {
 
 inline constexpr float kInfinity = std::numeric_limits<float>::infinity();
+inline constexpr float kLevel = 0x1p-18f;  // cosine to a triangle's normal, below which a ray counts as in its plane
 
 struct alignas(64) TriangleBlock {
   static constexpr size_t kTriangles = 4;
@@ -41,7 +42,7 @@ struct BlockRay {
 
 // Bit i: triangle i may be met beyond from_m and no farther than to_m.
 inline unsigned mayMeet(const TriangleBlock& block, const BlockRay& ray, float from_m, float to_m) {
-  const __m128 sign = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1), level = _mm_set1_ps(0x1p-18f);
+  const __m128 sign = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1), level = _mm_set1_ps(kLevel);
   const auto along = [](const TriangleBlock::Plane& p, const BlockRay::Fours& v) {
     return _mm_load_ps(p.x) * v.x + _mm_load_ps(p.y) * v.y + _mm_load_ps(p.z) * v.z;
   };
@@ -57,5 +58,20 @@ inline unsigned mayMeet(const TriangleBlock& block, const BlockRay& ray, float f
   const __m128 missed = _mm_and_ps(_mm_or_ps(apart, beside), _mm_cmpgt_ps(_mm_andnot_ps(sign, steep), level));
   return ~static_cast<unsigned>(_mm_movemask_ps(missed)) & 15u;
 }
+
+// Of the distance of an origin from a plane, m.
+float originError(Vec3 origin);
+
+// Rays side by side.
+struct RayPacket {
+  static constexpr size_t kRays = 16;
+  const float *x, *y, *z, *along_x, *along_y, *along_z;
+  const float *from_m, *to_m;
+  const float* error;  // originError()
+  const int* valid;    // -1: there is such a ray; 0: there is none
+};
+
+// The same test of all of them, on registers as wide as the processor has. Returns a bit for each ray that may meet a triangle; may_meet[k] has those of ray k.
+uint32_t mayMeet(const TriangleBlock& block, const RayPacket& rays, uint32_t (&may_meet)[RayPacket::kRays]);
 
 }  // namespace ff::bake

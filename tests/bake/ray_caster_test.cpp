@@ -85,6 +85,16 @@ Corners cornersOf(const Scene& scene, size_t triangle) {
 
 void expectSame(const Scene& scene, const std::vector<Ray>& rays) {
   const std::vector<RayCaster> all = casters(scene);
+  // One ray that is none, and a number that packets do not divide: neither tells on the others.
+  std::vector<Ray> with_none = rays;
+  with_none.push_back({rays[0].origin, Vec3{1, 1, 1} * std::numeric_limits<float>::quiet_NaN()});
+  std::vector<std::vector<Hit>> together(all.size(), std::vector<Hit>(with_none.size()));
+  std::vector<std::vector<SightLine>> lines(all.size());
+  for (size_t c = 0; c < all.size(); ++c) {
+    all[c].nearest(with_none, together[c]);
+    for (const Ray& ray : with_none) lines[c].push_back({ray, kFar});
+    all[c].occlude(lines[c]);
+  }
   size_t hits = 0;
   for (size_t r = 0; r < rays.size(); ++r) {
     uint32_t triangle = kNone;
@@ -97,7 +107,11 @@ void expectSame(const Scene& scene, const std::vector<Ray>& rays) {
       const Hit hit = all[c].nearest(rays[r]);
       ASSERT_EQ(hit.triangle, triangle) << "ray " << r << ", caster " << c << ", at " << distance_m << " m";
       ASSERT_EQ(all[c].occluded(rays[r], kFar), triangle != kNone) << "ray " << r << ", caster " << c;
+      ASSERT_EQ(together[c][r].triangle, triangle) << "ray " << r << " of many, caster " << c << ", at " << distance_m << " m";
+      ASSERT_EQ(together[c][r].front, hit.front);
+      ASSERT_EQ(lines[c][r].occluded, triangle != kNone) << "ray " << r << " of many, caster " << c;
       if (triangle == kNone) continue;
+      ASSERT_EQ(together[c][r].point, hit.point);
       ASSERT_EQ(hit.point, rays[r].origin + rays[r].direction * static_cast<float>(distance_m));
     }
   }
@@ -203,6 +217,9 @@ TEST(RayCaster, DistancesAreLimitsAndOfEquallyNearTrianglesTheFirstIsMet) {
     EXPECT_FALSE(caster.occluded({{1, -1e6f, 1}, {0, 1, 0}}, 9e5f));
     EXPECT_EQ(caster.nearest({{1, -1e6f, 1}, {0, -1, 0}}).triangle, kNone);
     EXPECT_EQ(caster.nearest({{1, -1e6f, 1}, {1, 0, 0}}).triangle, kNone);
+    std::vector<SightLine> lines = {{{{1, 1, 1}, {0, 1, 0}}, 1}, {{{1, 1, 1}, {0, 1, 0}}, 0.999f}, {{{1, -1e6f, 1}, {0, 1, 0}}, 9e5f}, {{{1, -1e6f, 1}, {0, 1, 0}}, kFar}};
+    caster.occlude(lines);
+    EXPECT_EQ((std::array{lines[0].occluded, lines[1].occluded, lines[2].occluded, lines[3].occluded}), (std::array{true, false, false, true}));
   }
   const Scene nothing;
   const auto caster = RayCaster::create(nothing);
