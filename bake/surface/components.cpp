@@ -17,18 +17,45 @@ constexpr double kOwnPatch = 0.1;   // of a crumb's largest area: a fenced one t
 constexpr int kSteps = 2;           // from crumb to crumb to a patch: out of the corner of a room
 constexpr double kTiny = 0.02;      // likewise: crumbs that are less together join a patch of another orientation
 
+// The box around corners in a cell and half the width of a border around it, in twelve bytes: in steps of the cell's edge, a step wider.
+class PackedExtent {
+ public:
+  PackedExtent() = default;
+  PackedExtent(std::span<const Point> corners, const Cell& cell, int fineness) {
+    const Extent e = extentOf(corners);
+    const double edge = edgeCells(fineness);
+    for (size_t i = 0; i < 3; ++i) {
+      const auto steps = [&](double x) { return std::floor((x / edge - cell[i]) * kSteps) + kBelow; };
+      const int a = static_cast<int>(i);
+      lo_[i] = static_cast<uint16_t>(std::clamp(steps(e.lo[a] - kBorderCells / 2) - 1, 0.0, 65535.0));
+      hi_[i] = static_cast<uint16_t>(std::clamp(steps(e.hi[a] + kBorderCells / 2) + 2, 0.0, 65535.0));
+    }
+  }
+  // False: they are farther apart than the width of a border. Of the same cell.
+  bool meets(const PackedExtent& other) const {
+    bool all = true;
+    for (size_t i = 0; i < 3; ++i) all &= lo_[i] <= other.hi_[i] && other.lo_[i] <= hi_[i];
+    return all;
+  }
+
+ private:
+  static constexpr double kSteps = 32768, kBelow = 1024;  // what juts out farther is cut off, and meets what does so as well
+  std::array<uint16_t, 3> lo_{}, hi_{};
+};
+
 class Labeller {
  public:
   Labeller(std::span<const Piece> pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed,
            WorkCount* done)
       : pieces_(pieces), sides_(sides), crumb_(crumb), fences_(fences), sealed_(sealed), done_(done), root_(sides.size()),
-        kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()) {}
+        kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()), extent_(sides.size()) {}
 
   Labels label() {
     for (size_t i = 0; i < sides_.size(); ++i)
       if (i == 0 || sides_[i].place() != sides_[i - 1].place()) place_start_.push_back(i);
     const size_t places = place_start_.size();
     place_start_.push_back(sides_.size());
+    tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) { extent_[i] = {piece(i).polygon, piece(i).cell, piece(i).fineness}; });
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { connect(place_start_[g], place_start_[g + 1]); });
     listMembers();
     if (done_) done_->expect(sides_.size());
@@ -46,6 +73,8 @@ class Labeller {
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       if (kind_[i] == Kind::kCrumb && host[i] == kNobody && isSealed(i)) kind_[i] = Kind::kSealed;
     });
+    for (uint32_t i = 0; i < sides_.size(); ++i)
+      if (kind_[i] == Kind::kWhole) whole_.push_back(i);
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeCrumbs(place_start_[g], place_start_[g + 1], host); });
     Labels labels;
     std::vector<uint32_t> patch(sides_.size(), kSealed);  // per root
@@ -89,7 +118,7 @@ class Labeller {
       if (n <= kMaxPairs)
         for (uint32_t i = 0; i < n; ++i)
           for (uint32_t j = i + 1; j < n; ++j)
-            if (sets.find(i) != sets.find(j)) joinPair(begin, i, j, sets);
+            if (extent_[begin + i].meets(extent_[begin + j]) && sets.find(i) != sets.find(j)) joinPair(begin, i, j, sets);
     }
     for (uint32_t i = 0; i < n; ++i) root_[begin + i] = static_cast<uint32_t>(begin) + sets.find(i);
     if (std::any_of(parted_.begin() + static_cast<ptrdiff_t>(begin), parted_.begin() + static_cast<ptrdiff_t>(end), [](uint8_t p) { return p; }))
@@ -195,12 +224,18 @@ class Labeller {
     place.in_cell = placeInBaseCell(cell, place.fineness);
     const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
     const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
+    const Polygon& polygon = piece(crumb_side).polygon;
+    const PackedExtent line(std::array{polygon[border], polygon[(border + 1) % polygon.size()]}, cell, place.fineness);
+    std::vector<SharedBorder> borders;
     for (auto s = first; s != last; ++s) {
       const auto j = static_cast<size_t>(s - sides_.begin());
+      if (!line.meets(extent_[j])) continue;
       const uint32_t to = kind_[root_[j]] == Kind::kWhole ? root_[j] : host[root_[j]];
       if (to == kNobody) continue;
-      for (const SharedBorder& shared : sharedBorders(piece(crumb_side).polygon, piece(j).polygon, kBorderCells)) {
-        if (shared.side_p != border || (fences_ && !fences_->isOpen(at(crumb_side), at(j), shared))) continue;
+      borders.clear();
+      shareBorder(polygon, border, piece(j).polygon, kBorderCells, borders);
+      for (const SharedBorder& shared : borders) {
+        if (fences_ && !fences_->isOpen(at(crumb_side), at(j), shared)) continue;
         const double l = length(shared.line.b - shared.line.a);
         const auto known = std::find_if(hosts.begin(), hosts.end(), [&](const auto& h) { return h.first == to; });
         if (known == hosts.end()) {
@@ -257,11 +292,8 @@ class Labeller {
     Nearest best;
     const auto look = [&](const Cell& cell) {
       const uint64_t key = hilbertKey(cell);
-      for (auto s = std::lower_bound(sides_.begin(), sides_.end(), key, [](const Side& side, uint64_t k) { return side.key < k; });
-           s != sides_.end() && s->key == key; ++s) {
-        const auto j = static_cast<size_t>(s - sides_.begin());
-        if (kind_[j] == Kind::kWhole && s->lamp_group == sides_[root].lamp_group) consider(root, j, best);
-      }
+      for (const uint32_t j : std::ranges::equal_range(whole_, key, {}, [&](uint32_t i) { return sides_[i].key; }))
+        if (sides_[j].lamp_group == sides_[root].lamp_group) consider(root, j, best);
     };
     const int fineness = piece(root).fineness;
     const Cell own = baseCell(piece(root).cell, fineness);
@@ -311,7 +343,9 @@ class Labeller {
   std::vector<uint8_t> parted_;          // a fence stands between it and a neighbour
   std::vector<double> area_;
   std::vector<Point> centre_;
+  std::vector<PackedExtent> extent_;      // per side
   std::vector<uint32_t> first_, member_;  // sides by component
+  std::vector<uint32_t> whole_;           // roots with a patch of their own, by place
 };
 
 }  // namespace

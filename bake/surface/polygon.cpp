@@ -20,6 +20,25 @@ Point middle(const Polygon& polygon) {
   return sum * (1 / static_cast<double>(polygon.size()));
 }
 
+Extent extentOf(std::span<const Point> corners) {
+  Extent e{corners[0], corners[0]};
+  for (int a = 0; a < 3; ++a) {
+    for (const Point& corner : corners) {
+      e.lo[a] = std::min(e.lo[a], corner[a]);
+      e.hi[a] = std::max(e.hi[a], corner[a]);
+    }
+    e.lo[a] -= 1e-9;
+    e.hi[a] += 1e-9;
+  }
+  return e;
+}
+
+bool areApart(const Extent& a, const Extent& b, double tolerance) {
+  for (int i = 0; i < 3; ++i)
+    if (a.lo[i] - b.hi[i] > tolerance || b.lo[i] - a.hi[i] > tolerance) return true;
+  return false;
+}
+
 bool clipInside(const Polygon& polygon, Point normal, double margin, Segment& segment) {
   const Point along = segment.b - segment.a;
   double first = 0, last = 1;
@@ -58,51 +77,31 @@ double distance(const Segment& s, const Segment& t) {
   return std::min({distance(s.a, t), distance(s.b, t), distance(t.a, s), distance(t.b, s)});
 }
 
-namespace {
-
-// Whether the boxes around two polygons are farther apart than the tolerance: most pairs, at once.
-bool areApart(const Polygon& p, const Polygon& q, double tolerance) {
-  for (int a = 0; a < 3; ++a) {
-    const auto range = [a](const Polygon& polygon) {
-      double least = 1e300, most = -1e300;
-      for (const Point& corner : polygon) {
-        least = std::min(least, corner[a]);
-        most = std::max(most, corner[a]);
-      }
-      return std::pair(least - 1e-9, most + 1e-9);  // rounding must not part what touches
-    };
-    const auto [p_least, p_most] = range(p);
-    const auto [q_least, q_most] = range(q);
-    if (q_least - p_most > tolerance || p_least - q_most > tolerance) return true;
-  }
-  return false;
-}
-
-}  // namespace
-
 std::vector<SharedBorder> sharedBorders(const Polygon& p, const Polygon& q, double tolerance) {
   std::vector<SharedBorder> shared;
-  if (areApart(p, q, tolerance)) return shared;
-  for (size_t i = 0; i < p.size(); ++i) {
-    const Point a = p[i], side = p[(i + 1) % p.size()] - a;
-    const double l = length(side);
-    if (!(l > 0)) continue;
-    const Point along = side * (1 / l);
-    for (size_t k = 0; k < q.size(); ++k) {
-      const Point c = q[k], d = q[(k + 1) % q.size()];
-      const double from = dot(c - a, along), to = dot(d - a, along);
-      const double first = std::max(0.0, std::min(from, to)), last = std::min(l, std::max(from, to));
-      if (!(last - first > std::min(tolerance, 0.5 * std::min(l, std::abs(to - from))))) continue;
-      const Segment line{a + along * first, a + along * last};
-      // The other's line is straight too: near at both ends, near all along.
-      const auto near = [&](Point at, double x) {
-        const double t = (x - from) / (to - from);
-        return length(c + (d - c) * t - at) <= tolerance;
-      };
-      if (near(line.a, first) && near(line.b, last)) shared.push_back({i, k, line});
-    }
-  }
+  if (areApart(extentOf(p), extentOf(q), tolerance)) return shared;
+  for (size_t i = 0; i < p.size(); ++i) shareBorder(p, i, q, tolerance, shared);
   return shared;
+}
+
+void shareBorder(const Polygon& p, size_t side_p, const Polygon& q, double tolerance, std::vector<SharedBorder>& shared) {
+  const Point a = p[side_p], side = p[(side_p + 1) % p.size()] - a;
+  const double l = length(side);
+  if (!(l > 0)) return;
+  const Point along = side * (1 / l);
+  for (size_t k = 0; k < q.size(); ++k) {
+    const Point c = q[k], d = q[(k + 1) % q.size()];
+    const double from = dot(c - a, along), to = dot(d - a, along);
+    const double first = std::max(0.0, std::min(from, to)), last = std::min(l, std::max(from, to));
+    if (!(last - first > std::min(tolerance, 0.5 * std::min(l, std::abs(to - from))))) continue;
+    const Segment line{a + along * first, a + along * last};
+    // The other's line is straight too: near at both ends, near all along.
+    const auto near = [&](Point at, double x) {
+      const double t = (x - from) / (to - from);
+      return length(c + (d - c) * t - at) <= tolerance;
+    };
+    if (near(line.a, first) && near(line.b, last)) shared.push_back({side_p, k, line});
+  }
 }
 
 bool contains(const Polygon& polygon, Point point, double tolerance) {
@@ -114,14 +113,17 @@ bool contains(const Polygon& polygon, Point point, double tolerance) {
 }
 
 bool touches(const Polygon& p, const Polygon& q, double tolerance) {
-  if (areApart(p, q, tolerance)) return false;
-  const auto on = [&](const Polygon& corners, const Polygon& border) {
-    for (const Point& v : corners)
+  const Extent around_p = extentOf(p), around_q = extentOf(q);
+  if (areApart(around_p, around_q, tolerance)) return false;
+  const auto on = [&](const Polygon& corners, const Polygon& border, const Extent& around) {
+    for (const Point& v : corners) {
+      if (areApart({v, v}, around, tolerance)) continue;
       for (size_t i = 0; i < border.size(); ++i)
         if (distance(v, Segment{border[i], border[(i + 1) % border.size()]}) < tolerance) return true;
+    }
     return false;
   };
-  return on(p, q) || on(q, p);
+  return on(p, q, around_q) || on(q, p, around_p);
 }
 
 }  // namespace ff::bake

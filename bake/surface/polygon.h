@@ -1,5 +1,6 @@
 // Convex polygons in space, in units of cells: cut by planes, clipped, compared border to border.
 #pragma once
+#include <span>
 #include <vector>
 
 #include "bake/point.h"
@@ -10,9 +11,14 @@ using Polygon = std::vector<Point>;  // convex, counter-clockwise seen from the 
 struct Segment {
   Point a, b;
 };
+struct Extent {  // a box
+  Point lo, hi;
+};
 
 Point vectorArea(const Polygon& polygon);  // along the normal, as long as the area
 Point middle(const Polygon& polygon);      // of the corners: a point inside
+Extent extentOf(std::span<const Point> corners);  // wider by 1e-9, so that rounding does not part what touches
+bool areApart(const Extent& a, const Extent& b, double tolerance);  // by more than the tolerance
 
 // Cuts a polygon by a plane that corners are `distance` from. Those within eps belong to both parts. crossing(lo, hi): where the
 // side from below to above meets the plane; in this order always, so that two triangles cut their common side at the same point.
@@ -48,6 +54,8 @@ struct SharedBorder {
   Segment line;
 };
 std::vector<SharedBorder> sharedBorders(const Polygon& p, const Polygon& q, double tolerance);
+// The same of one side of p; what is found is appended.
+void shareBorder(const Polygon& p, size_t side_p, const Polygon& q, double tolerance, std::vector<SharedBorder>& shared);
 
 // Whether a point less than `tolerance` off the plane of a polygon lies in it.
 bool contains(const Polygon& polygon, Point point, double tolerance);
