@@ -65,8 +65,8 @@ struct RayCaster::State {
   void attachBlocks();
 
   // Whether a ray is stopped where it meets a triangle, on its front or back; facing: by surfaces only that face it.
-  bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing) const {
-    if (cutout[triangle] && isHole(*scene, triangle, hit.b, hit.c)) return false;
+  bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing, bool holes) const {
+    if (holes && cutout[triangle] && isHole(*scene, triangle, hit.b, hit.c)) return false;
     if (!facing || front) return true;
     return scene->backs != Backs::kReflect && scene->materials[scene->triangles[triangle].material].double_sided;
   }
@@ -88,14 +88,14 @@ struct RayCaster::State {
     const State* state;
     Ray ray;
     BlockRay block_ray;
-    bool facing;
+    bool facing, holes;
     uint32_t triangle = kNone;
     bool front = true;
     double from_m, to_m;
     double way_m;  // from the ray's origin to Embree's
 
-    Cast(const State& s, const Ray& r, float from, float to, bool facing_only)
-        : state(&s), ray(r), block_ray(r), facing(facing_only), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)),
+    Cast(const State& s, const Ray& r, float from, float to, bool facing_only, bool with_holes)
+        : state(&s), ray(r), block_ray(r), facing(facing_only), holes(with_holes), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)),
           way_m(s.wayTo(r)) {
       rtcInitIntersectContext(&embree);  // INCOHERENT is its default; COHERENT halves the speed of diffuse rays
     }
@@ -134,7 +134,7 @@ struct RayCaster::State {
         const auto hit = meet(ray, corners[i], from_m);
         if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.triangle[i] > triangle)) continue;
         const bool on_front = dot(normalOf(corners[i]), ray.direction) < 0;
-        if (!state->stops(block.triangle[i], *hit, on_front, facing)) continue;
+        if (!state->stops(block.triangle[i], *hit, on_front, facing, holes)) continue;
         triangle = block.triangle[i];
         front = on_front;
         to_m = hit->distance_m;
@@ -247,17 +247,18 @@ Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
   if (!scene.triangles.empty()) state->makeBlocks();
   if (state->error.empty()) state->attachBlocks();
   if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
-  return RayCaster(std::move(state), nullptr);
+  return RayCaster(std::move(state), nullptr, true);
 }
 
-RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail) : state_(std::move(state)), trail_(trail) {}
+RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail, bool holes) : state_(std::move(state)), trail_(trail), holes_(holes) {}
 
-RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail); }
+RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail, holes_); }
+RayCaster RayCaster::withoutHoles() const { return RayCaster(state_, trail_, false); }
 
 Hit RayCaster::nearest(const Ray& ray, float within_m) const {
   const Scene& scene = *state_->scene;
   const auto hitWithin = [&](float from_m, float to_m, bool facing) {
-    State::Cast cast(*state_, ray, from_m, to_m, facing);
+    State::Cast cast(*state_, ray, from_m, to_m, facing, holes_);
     RTCRayHit rh;
     rh.ray = cast.embreeRay();
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
@@ -278,7 +279,7 @@ Hit RayCaster::nearest(const Ray& ray, float within_m) const {
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {
-  State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass);
+  State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass, holes_);
   RTCRay r = cast.embreeRay();
   if (cast.comesNear()) rtcOccluded1(state_->embree, &cast.embree, &r);
   // A blocker is enough, wherever else another comes to stand.
