@@ -117,11 +117,10 @@ int run(int argc, char** argv) {
   app.add_option("--occlude-only", settings.cleanup.occlude_only, "the same, which block light and have no patches");
   std::vector<std::string> densities;
   app.add_option("--density", densities, "the same, as PATTERN=2: patches 1/2 as long as elsewhere; 0.0625 to 16, rounded to a power of two");
-  std::string adaptive = "2%";
-  CLI::Option* merge = app.add_option("--adaptive", adaptive,
-                                      "patches up to 8 times as long where their albedo and the light that they see differ by no more than this: open ground, large walls")
-                           ->expected(0, 1)
-                           ->type_name("[ERROR=2%]");
+  std::string adaptive;
+  CLI::Option* merge =
+      app.add_option("--adaptive", adaptive, "patches up to 8 times as long where their albedo and the light that they see differ by no more than this, 2% for one: open ground, large walls")
+          ->type_name("ERROR");
   app.add_flag("--keep-sky-dome", settings.cleanup.keep_sky_dome, "bake a dome of pictures of the sky like any surface");
   app.add_option("--backs", settings.cleanup.backs, "what single-sided surfaces do to light from behind: absorb, reflect, pass")
       ->transform(CLI::CheckedTransformer(

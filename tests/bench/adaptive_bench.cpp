@@ -1,5 +1,5 @@
 // ff_bench_adaptive: what merged patches save, and what they cost: a scene baked with and without them, against the truth at the same points. Eyes stand
-// on open ground; of the surface that they see, pieces of one unmerged patch each are compared. What is compared is the light that a patch gives to a
+// on the ground, in the open if nothing else is asked for; of the surface that they see, pieces of one unmerged patch each are compared. What is compared is the light that a patch gives to a
 // picture: all but the sun's own, which pictures draw point by point. Prints JSON lines.
 #include <unistd.h>
 
@@ -27,14 +27,14 @@ using namespace ff;
 
 constexpr float kEyeHeight = 1.7f;  // m, or so many cells where they are larger
 constexpr float kAbove = 0.01f;       // cells, that a surface is looked at from
-constexpr double kOpen = 0.3;       // least share of sky over an eye's ground
 constexpr uint32_t kShadowRays = 64;
 
 struct Options {
   std::string file;  // empty: a town
   float cell_m = 1;
   uint32_t rays = 512, eyes = 16, looks = 2048, pieces = 2000, paths = 512;
-  std::vector<double> errors{0, 2, 5};  // per cent
+  double least_sky = 0.3, most_sky = 1;  // over an eye's ground, of the hemisphere
+  std::vector<double> errors{0, 2, 5};   // per cent
   std::string keep;
 };
 
@@ -49,7 +49,7 @@ uint32_t patchUnder(const chart::MeasuredWorld& world, const chart::SeenPoint& p
 Pieces lookAround(const chart::MeasuredWorld& world, const Options& o) {
   std::vector<const formats::Node*> ground;
   for (const formats::Node& n : world.patches())
-    if (n.normal.y > 0.7f && static_cast<double>(n.sky_fraction) > kOpen) ground.push_back(&n);
+    if (const auto sky = static_cast<double>(n.sky_fraction); n.normal.y > 0.7f && sky >= o.least_sky && sky <= o.most_sky) ground.push_back(&n);
   std::map<uint32_t, std::vector<chart::SeenPoint>> of_patch;
   for (uint32_t k = 0; k < o.eyes && !ground.empty(); ++k) {
     const formats::Node& n = *ground[ground.size() * (2 * k + 1) / (2 * o.eyes)];
@@ -141,7 +141,7 @@ void measure(const bake::Scene& scene, const std::string& name, const Options& o
       const std::vector<Vec3> got = given(world, *pieces, lights[l]);
       if (unmerged[l].empty()) unmerged[l] = got;
       const Error error = errorOf(got, truth[l], noise[l]), change = errorOf(got, unmerged[l], {});
-      const std::string note = fmt::format("{}, {} pieces of surface seen from {} eyes on open ground; the median has the tracer's noise in it", lights[l].name, got.size(), o.eyes);
+      const std::string note = fmt::format("{}, {} pieces of surface seen from {} eyes; the median has the tracer's noise in it", lights[l].name, got.size(), o.eyes);
       const std::string suffix = l == 0 ? "sky" : "sun_sky";
       say("error_" + suffix, error.rel_l2, "relative", note);
       say("error_" + suffix + "_median", error.median, "relative", note);
@@ -163,6 +163,8 @@ int main(int argc, char** argv) {
   app.add_option("--rays", o.rays, "a patch")->capture_default_str();
   app.add_option("--errors", o.errors, "that patches are merged within, %; 0: none are; the first is what the others are compared with")->delimiter(',')->capture_default_str();
   app.add_option("--eyes", o.eyes, "on open ground")->capture_default_str();
+  app.add_option("--least-sky", o.least_sky, "over an eye's ground: 0 for rooms")->capture_default_str();
+  app.add_option("--most-sky", o.most_sky, "likewise: 0.1 for rooms")->capture_default_str();
   app.add_option("--paths", o.paths, "of the tracer, a piece of surface")->capture_default_str();
   app.add_option("--keep", o.keep, "folder in which the bakes stay");
   CLI11_PARSE(app, argc, argv);
