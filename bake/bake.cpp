@@ -217,6 +217,7 @@ std::array<uint8_t, 16> bakeKey(const Scene& scene, const BakeSettings& s, float
   put(&s.quanta, sizeof s.quanta);
   put(&s.seed, sizeof s.seed);
   put(&s.metals, sizeof s.metals);
+  if (s.merge_error > 0) put(&s.merge_error, sizeof s.merge_error);
   put(&s.geometry, sizeof s.geometry);
   put(&s.preview, sizeof s.preview);
   put(scene.name.c_str(), scene.name.size() + 1);  // the manifest holds it
@@ -267,7 +268,7 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
     keep(findSlivers(scene), surface->findings);
     keep(findOpenEdges(scene, *surface->caster, report.count), surface->findings);
   }
-  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals};
+  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals, .merge_error = settings.merge_error};
   auto set = settings.cell_m > 0 ? makePatches(scene, cut, &*surface->caster) : patchesWithin(settings.patch_budget, scene, cut, *surface->caster);
   if (!set) return set.error();
   surface->set = std::move(*set);
@@ -299,6 +300,8 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   BakeStats stats;
   stats.findings = std::move((*surface)->findings);
   stats.cell_m = set.cell_m;
+  stats.unmerged_patches = set.unmerged;
+  stats.merged_patches = set.merged;
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();

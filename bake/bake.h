@@ -13,6 +13,7 @@
 #include "bake/plan/ray_units.h"
 #include "bake/progress_report.h"
 #include "bake/scene.h"
+#include "bake/surface/merging.h"
 #include "formats/model.h"
 
 namespace ff::bake {
@@ -38,6 +39,7 @@ struct BakeSettings {
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals
+  float merge_error = 0;          // PatchSettings::merge_error
   CleanupSettings cleanup{};
   uint64_t memory_bytes = 0;      // most that the process holds, within a tenth: what does not fit goes to files beside the world, and a bake that would
                                   // need more all the same is refused; 0: what the machine has free
@@ -57,6 +59,8 @@ struct LevelStats {
 
 struct BakeStats {
   float cell_m = 0;
+  uint64_t unmerged_patches = 0;                         // PatchSet::unmerged
+  std::array<uint64_t, kMaxMergedLog> merged_patches{};  // PatchSet::merged
   uint64_t triangles = 0, without_area = 0, rays = 0;  // without_area: triangles left out
   uint64_t cast_rays = 0;        // of these; the others were in the cache
   uint32_t mean_rays = 0, fewest_rays = 0;  // of a patch

@@ -19,7 +19,7 @@ namespace ff::bake {
 namespace {
 
 // Measured on towns and rooms; they need to be right within a factor of two only.
-constexpr double kBytesAPiece = 200, kBytesATriangle = 215, kBytesAPatch = 140;
+constexpr double kBytesAPiece = 200, kBytesATriangle = 215, kBytesAPatch = 140, kBytesAMergedPatch = 150;
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
 constexpr double kSurelyOnDisk = 0.5;  // of the estimate
 constexpr double kRaysAtError = 2200, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
@@ -88,6 +88,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   const unsigned cores = std::max(1u, settings.threads > 0 ? static_cast<unsigned>(settings.threads) : std::thread::hardware_concurrency());
   const double rays = raysOf(settings);
   e.memory_bytes = memoryOf(e.patches, e.pieces, static_cast<double>(scene.triangles.size()));
+  if (settings.merge_error > 0) e.memory_bytes += e.patches * kBytesAMergedPatch;  // those that there are before
   e.disk_bytes = e.patches * (kDiskAPatch + kDiskAQuantum * settings.quanta);
   e.seconds = e.patches * rays / (kRaysASecond * cores);
   return e;

@@ -52,11 +52,11 @@ Result<std::pair<std::string, float>> readDensity(const std::string& text) {
 }
 
 // "2%" or "2": per cent.
-Result<float> readError(const std::string& text) {
+Result<float> readError(const std::string& option, const std::string& text) {
   char* end = nullptr;
   const float percent = std::strtof(text.c_str(), &end);
   if (text.empty() || (*end != '\0' && std::string(end) != "%") || !(percent > 0 && percent < 100))
-    return Error{ErrorCode::kUsage, "--target-error", "", "\"" + text + "\" is not a per cent above 0 and below 100", "--target-error 2%, for one"};
+    return Error{ErrorCode::kUsage, option, "", "\"" + text + "\" is not a per cent above 0 and below 100", option + " 2%, for one"};
   return percent / 100;
 }
 
@@ -117,6 +117,10 @@ int run(int argc, char** argv) {
   app.add_option("--occlude-only", settings.cleanup.occlude_only, "the same, which block light and have no patches");
   std::vector<std::string> densities;
   app.add_option("--density", densities, "the same, as PATTERN=2: patches 1/2 as long as elsewhere; 0.0625 to 16, rounded to a power of two");
+  std::string adaptive;
+  CLI::Option* merge =
+      app.add_option("--adaptive", adaptive, "patches up to 8 times as long where their albedo and the light that they see differ by no more than this, 2% for one: open ground, large walls")
+          ->type_name("ERROR");
   app.add_flag("--keep-sky-dome", settings.cleanup.keep_sky_dome, "bake a dome of pictures of the sky like any surface");
   app.add_option("--backs", settings.cleanup.backs, "what single-sided surfaces do to light from behind: absorb, reflect, pass")
       ->transform(CLI::CheckedTransformer(
@@ -153,10 +157,15 @@ int run(int argc, char** argv) {
     if (rays->count() == 0 && target->count() == 0) settings.rays = 128;
   }
   if (target->count() > 0 || (rays->count() == 0 && !settings.preview)) {
-    const auto error = readError(target_error);
+    const auto error = readError("--target-error", target_error);
     if (!error) return fail(error.error());
     settings.target_error = *error;
     if (rays->count() == 0) settings.rays = kMostRays;
+  }
+  if (merge->count() > 0) {
+    const auto error = readError("--adaptive", adaptive);
+    if (!error) return fail(error.error());
+    settings.merge_error = *error;
   }
   import.z_up = up == "z";
   for (const std::string& density : densities) {

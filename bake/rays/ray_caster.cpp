@@ -93,8 +93,8 @@ struct RayCaster::State {
   void attachBlocks();
 
   // Whether a ray is stopped where it meets a triangle, on its front or back; facing: by surfaces only that face it.
-  bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing) const {
-    if (cutout[triangle] && isHole(*scene, triangle, hit.b, hit.c)) return false;
+  bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing, bool holes) const {
+    if (holes && cutout[triangle] && isHole(*scene, triangle, hit.b, hit.c)) return false;
     if (!facing || front) return true;
     return scene->backs != Backs::kReflect && scene->materials[scene->triangles[triangle].material].double_sided;
   }
@@ -114,14 +114,14 @@ struct RayCaster::State {
   // One ray under way, and the nearest of what it has met.
   struct Cast {
     Ray ray;
-    bool facing;
+    bool facing, holes;
     uint32_t triangle = kNone;
     bool front = true;
     double from_m, to_m;
     double way_m;  // from the ray's origin to Embree's
 
-    Cast(const State& state, const Ray& r, float from, float to, bool facing_only)
-        : ray(r), facing(facing_only), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)), way_m(state.wayTo(r)) {}
+    Cast(const State& state, const Ray& r, float from, float to, bool facing_only, bool with_holes)
+        : ray(r), facing(facing_only), holes(with_holes), from_m(static_cast<double>(from)), to_m(static_cast<double>(to)), way_m(state.wayTo(r)) {}
 
     bool comesNear() const { return way_m < to_m; }
     float upTo() const { return up(to_m - way_m); }  // as far as Embree's ray goes
@@ -155,7 +155,7 @@ struct RayCaster::State {
         const auto hit = meet(ray, corners[i], from_m);
         if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.triangle[i] > triangle)) continue;
         const bool on_front = dot(normalOf(corners[i]), ray.direction) < 0;
-        if (!state.stops(block.triangle[i], *hit, on_front, facing)) continue;
+        if (!state.stops(block.triangle[i], *hit, on_front, facing, holes)) continue;
         triangle = block.triangle[i];
         front = on_front;
         to_m = hit->distance_m;
@@ -354,12 +354,13 @@ Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
   if (state->error.empty()) state->attachBlocks();
   if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
   state->built = true;
-  return RayCaster(std::move(state), nullptr);
+  return RayCaster(std::move(state), nullptr, true);
 }
 
-RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail) : state_(std::move(state)), trail_(trail) {}
+RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail, bool holes) : state_(std::move(state)), trail_(trail), holes_(holes) {}
 
-RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail); }
+RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail, holes_); }
+RayCaster RayCaster::withoutHoles() const { return RayCaster(state_, trail_, false); }
 
 // Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
 Hit RayCaster::facing(const Hit& hit, const Ray& ray, float within_m, double distance_m) const {
@@ -367,14 +368,14 @@ Hit RayCaster::facing(const Hit& hit, const Ray& ray, float within_m, double dis
   if (hit.front || (scene.backs != Backs::kReflect && scene.materials[scene.triangles[hit.triangle].material].double_sided)) return hit;
   const float steep = std::abs(dot(normalized(normalOf(cornersOf(scene, hit.triangle))), ray.direction));
   const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f), at = static_cast<float>(distance_m);
-  State::Cast cast(*state_, ray, std::max(0.0f, at - reach), std::min(within_m, at + reach), true);
+  State::Cast cast(*state_, ray, std::max(0.0f, at - reach), std::min(within_m, at + reach), true, holes_);
   state_->find(cast, false);
   if (trail_) trail_->add(ray, cast.to_m);
   return cast.triangle == kNone ? hit : cast.hit();
 }
 
 Hit RayCaster::nearest(const Ray& ray, float within_m) const {
-  State::Cast cast(*state_, ray, 0, within_m, state_->scene->backs == Backs::kPass);
+  State::Cast cast(*state_, ray, 0, within_m, state_->scene->backs == Backs::kPass, holes_);
   state_->find(cast, false);
   if (trail_) trail_->add(ray, cast.to_m);
   return facing(cast.hit(), ray, within_m, cast.to_m);
@@ -383,7 +384,7 @@ Hit RayCaster::nearest(const Ray& ray, float within_m) const {
 void RayCaster::nearest(std::span<const Ray> rays, std::span<Hit> hits) const {
   const bool passed = state_->scene->backs == Backs::kPass;
   state_->findAll(
-      byDirection(rays.size(), [&](size_t i) -> const Ray& { return rays[i]; }), false, [&](size_t i) { return State::Cast(*state_, rays[i], 0, kInfinity, passed); },
+      byDirection(rays.size(), [&](size_t i) -> const Ray& { return rays[i]; }), false, [&](size_t i) { return State::Cast(*state_, rays[i], 0, kInfinity, passed, holes_); },
       [&](size_t i, const State::Cast& cast) {
         if (trail_) trail_->add(cast.ray, cast.to_m);
         hits[i] = facing(cast.hit(), cast.ray, kInfinity, cast.to_m);
@@ -391,7 +392,7 @@ void RayCaster::nearest(std::span<const Ray> rays, std::span<Hit> hits) const {
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {
-  State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass);
+  State::Cast cast(*state_, ray, 0, distance_m, state_->scene->backs == Backs::kPass, holes_);
   state_->find(cast, true);
   cast.leaveOccluded(trail_, distance_m);
   return cast.triangle != kNone;
@@ -401,7 +402,7 @@ void RayCaster::occlude(std::span<SightLine> lines) const {
   const bool passed = state_->scene->backs == Backs::kPass;
   state_->findAll(
       byDirection(lines.size(), [&](size_t i) -> const Ray& { return lines[i].ray; }), true,
-      [&](size_t i) { return State::Cast(*state_, lines[i].ray, 0, lines[i].length_m, passed); },
+      [&](size_t i) { return State::Cast(*state_, lines[i].ray, 0, lines[i].length_m, passed, holes_); },
       [&](size_t i, const State::Cast& cast) {
         cast.leaveOccluded(trail_, lines[i].length_m);
         lines[i].occluded = cast.triangle != kNone;

@@ -31,6 +31,8 @@ class RayCaster {
   static Result<RayCaster> create(const Scene& scene, const char* embree = nullptr);
   // Casts at the same triangles, and leaves a trail (null: none) of nearest(), occluded() and occlude(), which are no longer thread-safe then.
   RayCaster leaving(RayTrail* trail) const;
+  // Casts at the same triangles, none of which has holes or lets light pass: chance, which decides that ray by ray, has no part in what is hit.
+  RayCaster withoutHoles() const;
 
   // Thread-safe, the same answers whatever the processor and number of threads; of equally near triangles the lowest number. Rays pass through the holes of cutout materials, and backs where Scene::backs says so. Where a back and a surface that
   // faces the ray lie in one place to rounding, the latter is hit.
@@ -48,9 +50,10 @@ class RayCaster {
  private:
   Hit facing(const Hit& hit, const Ray& ray, float within_m, double distance_m) const;
   struct State;
-  RayCaster(std::shared_ptr<const State> state, RayTrail* trail);
+  RayCaster(std::shared_ptr<const State> state, RayTrail* trail, bool holes);
   std::shared_ptr<const State> state_;
   RayTrail* trail_ = nullptr;
+  bool holes_ = true;
 };
 
 }  // namespace ff::bake

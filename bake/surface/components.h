@@ -29,6 +29,7 @@ struct Side {
 struct Labels {
   std::vector<uint32_t> patch_of;  // per side; kSealed: it has none
   std::vector<uint32_t> home;      // per patch: a side in its cell
+  std::vector<uint8_t> doublings;  // per patch: how often its cell is doubled, by merging.h; empty: none is
 };
 
 inline constexpr uint32_t kSealed = 0xfffffffe;

@@ -15,6 +15,7 @@
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/components.h"
 #include "bake/surface/fineness.h"
+#include "bake/surface/merging.h"
 #include "bake/surface/pieces.h"
 #include "bake/surface/sealed.h"
 
@@ -58,6 +59,10 @@ class PatchBuilder {
     const double crumb = static_cast<double>(settings_.crumb_fraction);
     labels_ = labelSides(pieces_, sides_, crumb, parting, sealed ? &*sealed : nullptr, settings_.done);
     if (labels_.home.empty()) labels_ = labelSides(pieces_, sides_, crumb, parting, nullptr, settings_.done);  // all is smaller than a cell
+    if (caster_ && settings_.merge_error > 0) {
+      set_.unmerged = labels_.home.size();
+      mergePatches(scene_, *caster_, {s, settings_.merge_error, settings_.metals}, pieces_, sides_, labels_);
+    }
     measure();
     return std::move(set_);
   }
@@ -130,12 +135,17 @@ class PatchBuilder {
     set_.patches.resize(labels_.home.size());
     for (size_t p = 0; p < set_.patches.size(); ++p) {
       const Side& side = sides_[labels_.home[p]];
-      set_.patches[p].cell = baseCell(pieces_[side.piece].cell, side.fineness);
-      set_.patches[p].key = side.key;
-      set_.patches[p].name = p > 0 && set_.patches[p - 1].key == side.key ? set_.patches[p - 1].name + 1 : mix64(side.key + 1);
-      set_.patches[p].fineness = side.fineness;
-      set_.patches[p].orientation = side.orientation;
-      set_.patches[p].lamp_group = side.lamp_group;
+      const int doublings = labels_.doublings.empty() ? 0 : labels_.doublings[p];
+      Cell own = pieces_[side.piece].cell;
+      for (int32_t& x : own) x >>= doublings;
+      Patch& patch = set_.patches[p];
+      if (doublings > 0) ++set_.merged[static_cast<size_t>(doublings) - 1];
+      patch.fineness = side.fineness - doublings;
+      patch.cell = baseCell(own, patch.fineness);
+      patch.key = hilbertKey(patch.cell);
+      patch.name = p > 0 && set_.patches[p - 1].key == patch.key ? set_.patches[p - 1].name + 1 : mix64(patch.key + 1);
+      patch.orientation = side.orientation;
+      patch.lamp_group = side.lamp_group;
     }
     keepOutlines();
     std::vector<Part> parts;

@@ -4,6 +4,7 @@
 // (sealed.h), which no light gets to, has none; its rims are kept for drawing. Crumbs join a neighbour (components.h), so that a patch may reach a little over
 // its cell's border. Double-sided surfaces get a patch a side.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "bake/surface/fineness.h"
 #include "bake/surface/hilbert.h"
 #include "bake/surface/lamp_groups.h"
+#include "bake/surface/merging.h"
 #include "bake/surface/polygon.h"
 #include "bake/work_count.h"
 #include "formats/model.h"
@@ -62,6 +64,8 @@ class PatchSet {
   std::vector<SealedTriangle> sealed;    // by patch
   float cell_m = 1;
   double area_m2 = 0, sealed_m2 = 0;     // of the patches; of sealed surface, which has none
+  uint64_t unmerged = 0;                 // how many patches there were before some were merged (merging.h); 0: that was not asked for
+  std::array<uint64_t, kMaxMergedLog> merged{};  // patches that fill up to 2, 4, 8 cells a side
 
   // The patch that covers point p of scene triangle t on its front or back side; kNone where that side has none,
   // kSealed where it is sealed. A point that rounding puts just outside all pieces gets the piece of the nearest cell.
@@ -119,10 +123,11 @@ struct PatchSettings {
   float crumb_fraction = 0.05f;
   float metals = 1;  // share of a metal's mirror reflection that is carried on as diffuse light: albedo =
                      // base colour * (1 - metallic * (1 - metals)). 1 keeps its energy, 0 its darkness in a diffuse model.
+  float merge_error = 0;  // patches become one within this error, relative: merging.h; 0: none do
 };
 
 // Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.
-// caster: of the scene; null: nothing is parted, nothing sealed.
+// caster: of the scene; null: nothing is parted, sealed or merged.
 Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster = nullptr);
 
 }  // namespace ff::bake

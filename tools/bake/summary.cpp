@@ -80,6 +80,10 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
     fmt::print("  {:>5} {:>9} {:>6} {:>12.1f} {:>11.1f}\n", l, v.nodes, v.tiles,
                static_cast<double>(v.entries) / v.nodes, static_cast<double>(v.stored_bytes) / v.nodes);
   }
+  if (s.unmerged_patches > 0)
+    fmt::print("  merged: {} patches were {}, {:.1f} % less; {} are up to 2 cells wide, {} 4, {} 8\n", s.levels[0].nodes, s.unmerged_patches,
+               100 * (1 - static_cast<double>(s.levels[0].nodes) / static_cast<double>(s.unmerged_patches)), s.merged_patches[0], s.merged_patches[1],
+               s.merged_patches[2]);
   fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
              s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
   fmt::print("  {} rays a patch (at least {}), which leave an error of {:.2g} % in the light that a patch gets (two standard deviations)\n", s.mean_rays, s.fewest_rays,
@@ -110,6 +114,7 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
           {"sky_fraction", s.sky_fraction}, {"absorbed_fraction", s.absorbed_fraction},
           {"buried_fraction", s.buried_fraction},
           {"clamped_nodes", s.clamped_nodes},
+          {"unmerged_patches", s.unmerged_patches}, {"merged_patches", s.merged_patches},
           {"triangles_without_area", s.without_area},
           {"warnings", s.warnings},
           {"findings", toJson(s.findings)},
