@@ -99,6 +99,7 @@ class StreamerImpl final : public Streamer {
     stats.peak_resident_bytes = cache_.peakBytes();
     stats.resident_tiles = cache_.tiles();
     stats.wanted_tiles = static_cast<uint32_t>(previous_.size());
+    stats.late_tiles = stats.wanted_tiles - static_cast<uint32_t>(active_.size());
     const StripLoader::Backlog backlog = loader_.backlog();
     stats.pending_tiles = backlog.queued + backlog.under_way + backlog.arrived;
     return stats;

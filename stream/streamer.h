@@ -35,6 +35,7 @@ struct StreamStats {
   uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
+  uint32_t late_tiles = 0;  // wanted by the last update() and not active
 };
 
 class Streamer {
