@@ -188,22 +188,32 @@ class StreamerImpl final : public Streamer {
   bool chooseActive() {
     next_active_.clear();
     for (size_t i = previous_.size(); i-- > 0;) {
-      const TileId id = previous_[i];
-      const StripPtr& strip = cache_.find(id);
-      if (!strip) continue;
-      const bool top = id.level + 1 == world_.levels().size();
-      const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
-      if (!top) {
-        const TileId parent{id.level + 1, strip->tile.info().parent_tile};
-        const auto at = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
-        if (at == next_active_.end() || (*at)->id != parent) continue;
-      }
-      next_active_.push_back(strip);
+      const StripPtr& strip = cache_.find(previous_[i]);
+      if (strip && canStand(strip->tile)) next_active_.push_back(strip);
     }
     std::reverse(next_active_.begin(), next_active_.end());
     if (next_active_ == active_) return false;
     active_.swap(next_active_);
     return true;
+  }
+
+  // Whether the tiles above are in next_active_, but for those that failed.
+  bool canStand(const formats::TileRef& tile) const {
+    const formats::Chunk* chunk = tile.chunk.get();
+    for (uint32_t at = tile.index; !chunk->isTop();) {
+      const TileId parent{chunk->level + 1, chunk->tiles[at].parent_tile};
+      const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
+      const auto found = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
+      if (found != next_active_.end() && (*found)->id == parent) return true;
+      if (failures_.empty() || !hasFailed(parent)) return false;
+      chunk = chunk->parent.get();
+      at = parent.tile - chunk->firstTile();
+    }
+    return true;
+  }
+  bool hasFailed(TileId id) const {
+    const auto at = failures_.find(id);
+    return at != failures_.end() && at->second.times >= kGivenUp;
   }
 
   using Failures = TileMap<Failure>;

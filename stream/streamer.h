@@ -48,7 +48,7 @@ class Streamer {
   // observer: m; velocity: m/s (orders the queue by the time of need). Returns true if the active set has changed.
   virtual bool update(Vec3 observer, Vec3 velocity) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
-  // is active: so the ancestors of an active node are active too. Valid until the next update();
+  // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
   // after the last has let go.
   virtual std::span<const StripPtr> active() const = 0;

@@ -21,6 +21,7 @@ namespace ff::stream {
 namespace {
 
 constexpr unsigned kRingEntries = 64;
+constexpr int kSubmitTries = 1000;  // where the kernel is out of memory for the moment; then it counts as refusing the ring
 
 class UringSource final : public TileSource {
  public:
@@ -100,9 +101,8 @@ class UringSource final : public TileSource {
     const std::span<std::byte> rest = item.request.remaining();
     io_uring_prep_read(entry, item.request.descriptor(), rest.data(), static_cast<unsigned>(rest.size()), item.request.offset());
     io_uring_sqe_set_data64(entry, place);
-    int rc = 0;
-    do rc = io_uring_submit(&ring_);
-    while (rc == -EINTR || rc == -EAGAIN || rc == -EBUSY);
+    int rc = -EAGAIN;
+    for (int tries = 0; tries < kSubmitTries && (rc == -EINTR || rc == -EAGAIN || rc == -EBUSY); ++tries) rc = io_uring_submit(&ring_);
     item.submitted = rc >= 0;
     submitted_ += item.submitted;
     broken_ = broken_ || rc < 0;

@@ -2,7 +2,8 @@
 //
 // Every node of an active tile has a slot, and keeps it while the tile is active. A slot is a *leaf* (its children are
 // not active: it is a node of the cut, and its own level's row lights it) or *refined* (its radiosity is the
-// area-weighted mean of its children's). A column node J of a row resolves to J's slot if J's tile is active, else to
+// area-weighted mean of its children's). The nodes of a tile whose parent tile is not active (it could not be read) stand alone: what is theirs
+// resolves to them, and what is their parents' to the next ancestor, which stays a leaf. A column node J of a row resolves to J's slot if J's tile is active, else to
 // the slot of its nearest active ancestor. So strips are never rewritten when the cut changes; and but for the numbers
 // of its slots the matrix is a function of the cut alone.
 #pragma once
@@ -52,7 +53,7 @@ struct LocalMatrix {
   std::vector<Vec4> albedo;      // rgb and 0
   std::vector<float> area_m2;
   std::vector<uint8_t> leaf;
-  std::vector<uint32_t> parent_slot;  // kNoSlot at the top level
+  std::vector<uint32_t> parent_slot;  // kNoSlot at the top level, and of nodes that stand alone
   // Per slot with a parent: the next child of that, in ascending order; of the last one, the first. So the last is known by its next
   // not being behind it.
   std::vector<uint32_t> next_sibling;

@@ -55,7 +55,7 @@ TEST(MatrixAssembler, AfterAnyWalkTheMatrixIsThatOfAFreshBuild) {
     std::mt19937_64 random(seed);
     for (int step = 0; step < 40; ++step) {
       const double chance = static_cast<double>(random() % 11) / 10;
-      const Cut cut = test.randomCut(chance, random());
+      const Cut cut = test.randomCut(chance, random(), step % 3 == 0);
       ASSERT_TRUE(walked.update(cut));
       MatrixAssembler fresh(test.world());
       ASSERT_TRUE(fresh.update(cut));
@@ -69,7 +69,7 @@ TEST(MatrixAssembler, ASlotKeepsItsNodeWhileItsTileIsActive) {
   MatrixAssembler assembler(test.world());
   std::map<formats::TileId, uint32_t> first_slot;
   for (uint64_t step = 0; step < 60; ++step) {
-    ASSERT_TRUE(assembler.update(test.randomCut(0.7, step)));
+    ASSERT_TRUE(assembler.update(test.randomCut(0.7, step, step % 3 == 0)));
     const MatrixChange& change = assembler.change();
     if (change.renumbered) first_slot.clear();
     for (const SlotRange& left : change.left) EXPECT_EQ(first_slot.erase(left.id), change.renumbered ? 0u : 1u);
@@ -98,7 +98,7 @@ TEST(MatrixAssembler, NamesEveryTileWhoseRowsChanged) {
   };
   int unnamed = 0;
   for (uint64_t step = 0; step < 60; ++step) {
-    ASSERT_TRUE(assembler.update(test.randomCut(0.8, step / 2 * 2 + step % 2)));
+    ASSERT_TRUE(assembler.update(test.randomCut(0.8, step / 2 * 2 + step % 2, step % 5 == 0)));
     const LocalMatrix& m = assembler.matrix();
     for (const uint32_t t : assembler.change().rows) rows[m.tiles[t].id] = rowsOf(m.tiles[t]);
     for (const SlotRange& range : m.tiles) {
