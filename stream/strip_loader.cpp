@@ -211,10 +211,10 @@ std::optional<TileRef> StripLoader::nextRead() {
     const TileId id = tile.id();
     // Whoever made the queue did not know of arrivals after the queue_.taken-th.
     const bool arrived = std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; });
-    if (!arrived && std::ranges::find(under_way_, id, &TileRef::id) == under_way_.end()) found = std::move(tile);
+    if (!arrived && std::ranges::find(under_way_, id, &UnderWay::id) == under_way_.end()) found = std::move(tile);
   }
   if (found) {
-    under_way_.push_back(*found);
+    under_way_.push_back({*found, std::chrono::steady_clock::now()});
     under_way_count_.fetch_add(1);
     ++reads_;
   }
@@ -273,7 +273,7 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
   if (!bytes) {
     fail(id, bytes.error(), 0);
   } else try {
-    to_decode_.push_back({*std::ranges::find(under_way_, id, &TileRef::id), std::move(*bytes)});
+    to_decode_.push_back({std::ranges::find(under_way_, id, &UnderWay::id)->tile, std::move(*bytes)});
   } catch (const std::bad_alloc&) {
     fail(id, {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
   }
@@ -318,7 +318,10 @@ void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
     arrived_count_.store(static_cast<uint32_t>(arrived_.size()));
   }
   if (since_taken_.size() < since_taken_.capacity()) since_taken_.emplace_back(arrivals_, id);  // else it may be read twice
-  std::erase_if(under_way_, [id](const TileRef& tile) { return tile.id() == id; });
+  const auto at = std::ranges::find(under_way_, id, &UnderWay::id);
+  const float took = std::chrono::duration<float>(std::chrono::steady_clock::now() - at->since).count();
+  latency_seconds_ = std::max(took, 0.98f * latency_seconds_.load());
+  under_way_.erase(at);
   under_way_count_.fetch_sub(1);
   progress();
 }

@@ -25,7 +25,7 @@ constexpr int kSubmitTries = 1000;  // where the kernel is out of memory for the
 
 class UringSource final : public TileSource {
  public:
-  explicit UringSource(const formats::World& world) : world_(world) {}
+  explicit UringSource(const formats::World& world) : world_(world), random_(world) {}
 
   ~UringSource() override {
     if (!thread_.joinable()) return;
@@ -57,7 +57,7 @@ class UringSource final : public TileSource {
   }
 
   void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) override {
-    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, extent, options), std::move(done)});
+    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, extent, options, random_), std::move(done)});
     const std::lock_guard lock(mutex_);
     waiting_.push_back(std::move(item));
     submitWaiting();
@@ -199,6 +199,7 @@ class UringSource final : public TileSource {
   }
 
   const formats::World& world_;
+  RandomReads random_;
   io_uring ring_{};
   std::mutex mutex_;
   std::condition_variable wake_;

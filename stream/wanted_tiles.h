@@ -40,6 +40,8 @@ class WantedTiles {
   std::span<const ChunkRequest> missingChunks() const { return missing_; }
   // Hands over chunks that no walk has looked at for long.
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
+  bool has(formats::TileId first_tile) const { return chunks_.contains(first_tile); }  // a chunk
+  uint64_t bytes() const { return bytes_; }  // of the last walk's tiles, at most
   bool isWanted(formats::TileId id) const { return contains(wanted_, id); }
   // Tiles of a walk, at most.
   size_t maxWanted() const { return max_wanted_; }
