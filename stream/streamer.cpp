@@ -71,7 +71,7 @@ class StreamerImpl final : public Streamer {
   }
 
   bool update(Vec3 observer, Vec3 velocity) override {
-    const bool moved = !started_ || !(observer == observer_);
+    const bool moved = !started_ || !(observer == observer_) || (lead_seconds_ > 0 && !(velocity == velocity_));
     const bool retries = isRetryDue();
     if (planner_ && (moved || !(velocity == velocity_))) planner_->aim(observer, velocity, loader_.latencySeconds());
     const bool planned = planner_ && planner_->fresh();
@@ -87,6 +87,7 @@ class StreamerImpl final : public Streamer {
     return chooseActive();
   }
 
+  void setLead(float seconds) override { lead_seconds_ = std::clamp(seconds, 0.0f, 1.0f); }
   std::span<const StripPtr> active() const override { return active_; }
 
   Result<void> settle() override {
@@ -191,7 +192,7 @@ class StreamerImpl final : public Streamer {
   }
 
   void walk() {
-    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_);
+    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_, observer_ + velocity_ * lead_seconds_);
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id) || isAhead(id)) continue;
       cache_.setWanted(id, false);
@@ -297,6 +298,7 @@ class StreamerImpl final : public Streamer {
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // its reads end before the source goes
+  float lead_seconds_ = 0;
   const uint64_t ahead_bytes_, memory_bytes_;
   std::optional<PathPlanner> planner_;
   std::unique_ptr<PathPlanner::Plan> plan_ = std::make_unique<PathPlanner::Plan>(), next_plan_ = std::make_unique<PathPlanner::Plan>();

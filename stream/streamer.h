@@ -50,6 +50,8 @@ class Streamer {
 
   // observer: m; velocity: m/s, by which and by how it turns the path is foretold and read ahead. Returns true if the active set has changed.
   virtual bool update(Vec3 observer, Vec3 velocity) = 0;
+  // From the next update() on a tile is wanted so long before the observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
+  virtual void setLead(float seconds) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
   // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time

@@ -57,6 +57,7 @@ struct LocalMatrix {
   // Per slot with a parent: the next child of that, in ascending order; of the last one, the first. So the last is known by its next
   // not being behind it.
   std::vector<uint32_t> next_sibling;
+  std::vector<float> child_weight;    // per slot with a parent: its area over that of the parent's children; equal where none has any
   std::vector<uint32_t> entries;      // with gaps between rows
   std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
@@ -88,8 +89,8 @@ struct LocalMatrix {
   uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
 };
 
-// weights[c] of each slot with a parent: its area over that of the parent's children; equal where none has any. weights: per slot.
-void weighChildren(const LocalMatrix& matrix, std::span<float> weights);
+// Fills in child_weight, from everything else.
+void weighChildren(LocalMatrix& matrix);
 
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {

@@ -97,6 +97,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   m.area_m2.reserve(kMaxSlots);
   m.albedo.reserve(kMaxSlots);
   m.leaf.reserve(kMaxSlots);
+  m.child_weight.reserve(kMaxSlots);
   renumber();
   listLeavesAndRefined();
 }
@@ -468,6 +469,7 @@ void MatrixAssembler::listLeavesAndRefined() {
   }
   if (m.ambient_slot != kNoSlot) m.leaves.push_back(m.ambient_slot);
   m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
+  weighChildren(m);
 }
 
 Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<const StripPtr> active,
@@ -477,7 +479,8 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<cons
   return std::move(assembler).take();
 }
 
-void weighChildren(const LocalMatrix& m, std::span<float> weights) {
+void weighChildren(LocalMatrix& m) {
+  m.child_weight.resize(m.slots());
   for (const LocalMatrix::Refined& refined : m.refined) {
     double total = 0;
     uint32_t children = 0;
@@ -486,7 +489,7 @@ void weighChildren(const LocalMatrix& m, std::span<float> weights) {
       ++children;
     });
     m.forEachChild(refined, [&](uint32_t c) {
-      weights[c] = total > 0 ? static_cast<float>(static_cast<double>(m.area_m2[c]) / total) : 1.0f / static_cast<float>(children);
+      m.child_weight[c] = total > 0 ? static_cast<float>(static_cast<double>(m.area_m2[c]) / total) : 1.0f / static_cast<float>(children);
     });
   }
 }

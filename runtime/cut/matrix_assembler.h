@@ -4,6 +4,7 @@
 #pragma once
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
@@ -23,6 +24,9 @@ class MatrixAssembler {
   // changes nothing. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
   // missing). A tile without its parent tile stands alone (local_matrix.h); where that comes or goes the tile enters anew.
   Result<void> update(std::span<const stream::StripPtr> active);
+
+  // Gives the matrix away for another, and takes it back likewise: in between the assembler is not used. Allocates nothing.
+  void swap(LocalMatrix& matrix) { std::swap(matrix_, matrix); }
 
   // For tests: the next update() gives slots out anew.
   void renumberNext() { renumber_next_ = true; }

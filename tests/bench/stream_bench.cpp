@@ -36,7 +36,7 @@ struct Options {
   double seconds = 15;
   float height_m = 1.6f;
   float delay_ms = 0;
-  bool quick = false, day = false, warm = false, unhurried = false;
+  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false;
 };
 
 double threadMs() {
@@ -121,11 +121,11 @@ struct Flown {
   std::vector<double> whole_after_ms;  // of teleports: until nothing was late
 };
 
-// Tiles of the world that lie within their radius, their ancestors too, and are not active: by the definition alone, the chunks that nobody has read
+// Tiles of the world that lie within their radius, their ancestors too, and are not in the matrix: by the definition alone, the chunks that nobody has read
 // yet included. 0 where the budget of patches acts as a smaller radius.
-uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::StreamSettings& settings, Vec3 observer, std::span<const stream::StripPtr> active) {
+uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::StreamSettings& settings, Vec3 observer, std::span<const SlotRange> active) {
   uint64_t late = 0, patches = 0;
-  for (const stream::StripPtr& strip : active) patches += strip->id.level == 0 ? strip->nodes.size() : 0;
+  for (const SlotRange& range : active) patches += range.id.level == 0 ? range.nodes : 0;
   if (patches + formats::kTileNodes > settings.max_level0_nodes) return 0;  // those that hysteresis keeps count
   std::vector<char> above, here;  // by tile: wanted
   for (uint32_t level = world.top(); level + 1 > 0; --level) {
@@ -134,7 +134,7 @@ uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::Stream
     for (const formats::TileInfo& info : world.tiles(level)) {
       here[info.id.tile] = level == world.top() || (above[info.parent_tile] && info.bounds.distance(observer) < radius);
       if (!here[info.id.tile]) continue;
-      late += !std::ranges::binary_search(active, info.id, {}, [](const stream::StripPtr& s) { return s->id; });
+      late += !std::ranges::binary_search(active, info.id, {}, &SlotRange::id);
     }
     above.swap(here);
   }
@@ -152,13 +152,14 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     settings.radius_m *= whole.info().cell_m;
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
     TimedSolver solver(runtime::makeCpuGather());
-    runtime::Updater updater(world, *streamer, solver);
+    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame);
     runtime::Sky sky;
     sky.l0 = options.day ? Vec3{1.1f, 1.4f, 1.9f} : Vec3{0.002f, 0.003f, 0.004f};
     orExit(updater.setSky(sky));
     const FlightPath::Moment first = path.moment(pass, 0);
     streamer->update(first.at, first.velocity);
     orExit(streamer->settle());
+    updater.awaitCut();
     (void)orExit(updater.frame(first.at, first.velocity, 1));
     (void)orExit(updater.converge(1e-5f, 2000));
     std::vector<Vec4> radiosity(updater.matrix().slots());
@@ -195,7 +196,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       flown.changes += stats.matrix_changed;
       const stream::StreamStats s = streamer->stats();
       ++flown.frames;
-      const uint64_t late = lateByDefinition(whole, settings, now.at, streamer->active());
+      const uint64_t late = lateByDefinition(whole, settings, now.at, updater.matrix().tiles);
       flown.frames_late += late > 0;
       flown.late += late;
       flown.wanted += s.wanted_tiles;
@@ -306,6 +307,7 @@ int main(int argc, char** argv) {
   app.add_option("--delay", options.delay_ms, "ms that every read takes longer")->check(CLI::Range(0.0f, 10000.0f));
   app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
   app.add_flag("--warm", options.warm, "leaves the files in the page cache");
+  app.add_flag("--in-frame", options.in_frame, "new matrices are put together within the frame");
   app.add_flag("--unhurried", options.unhurried, "every frame waits until all is there: what changes of the cut cost by themselves");
   CLI11_PARSE(app, argc, argv);
   if (options.quick) options.seconds = std::min(options.seconds, 4.0);

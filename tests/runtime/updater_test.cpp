@@ -348,6 +348,37 @@ TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
   EXPECT_EQ(states[0], states[1]);
 }
 
+// A flight with the matrix put together in the background, then a frame that waits for it: the state is that of a flight within frames. In between every frame
+// has a whole cut, and light that is finite.
+TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  for (const bool background : {false, true}) {
+    const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
+    const auto solver = makeCpuGather(1);
+    Updater updater(test.world(), *streamer, *solver, FarLight::kPyramid, background);
+    ASSERT_TRUE(updater.setSky(kSky));
+    int changes = 0;
+    for (float x = 5; x < 58; x += 0.25f) {
+      const auto stats = updater.frame({x, 1, 30}, {15, 0, 0}, 2);
+      ASSERT_TRUE(stats) << stats.error().line();
+      changes += stats->matrix_changed;
+      std::this_thread::sleep_for(std::chrono::microseconds(500));
+      ASSERT_EQ(updater.source().size(), updater.matrix().slots());
+      std::vector<Vec4> light(updater.matrix().slots());
+      ASSERT_TRUE(updater.reflected(light));
+      for (const uint32_t slot : updater.matrix().leaves) ASSERT_TRUE(std::isfinite(light[slot].x) && light[slot].x >= 0);
+    }
+    EXPECT_GT(changes, 10);
+    streamer->update({58, 1, 30}, {});
+    ASSERT_TRUE(streamer->settle());
+    updater.awaitCut();
+    ASSERT_TRUE(updater.frame({58, 1, 30}, {}, 1));
+    states[background] = stateOf(updater, *solver);
+  }
+  EXPECT_EQ(states[0], states[1]);
+}
+
 TEST(Updater, LightSettlesWhateverTilesThatLeftHadInTheirSlots) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   Walker walker(test);
