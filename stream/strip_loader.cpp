@@ -48,7 +48,7 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
     queue->chunks.reserve(kMaxChunks);
   }
   sorted_.reserve(max_queued);
-  const size_t max_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
+  const size_t max_arrived = 3 * depth_;  // 2 * depth_ that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
   for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
   for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
@@ -205,7 +205,7 @@ void StripLoader::startReads() {
 std::optional<TileRef> StripLoader::nextRead() {
   const std::lock_guard lock(pipeline_mutex_);
   std::optional<TileRef> found;
-  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 4 * depth_) {
+  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 2 * depth_) {
     TileRef tile = std::move(queue_.tiles.back());
     queue_.tiles.pop_back();
     const TileId id = tile.id();

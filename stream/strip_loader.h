@@ -51,7 +51,7 @@ class StripLoader {
   };
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
-  // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
+  // depth: strips being read or decoded at any time; at most 2 * depth more wait to be taken.
   // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
               size_t max_retired);

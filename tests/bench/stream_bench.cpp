@@ -159,8 +159,11 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     const FlightPath::Moment first = path.moment(pass, 0);
     streamer->update(first.at, first.velocity);
     orExit(streamer->settle());
-    updater.awaitCut();
-    (void)orExit(updater.frame(first.at, first.velocity, 1));
+    for (int k = 0; k < 5; ++k) {  // as one that is flying already: what it takes to build a matrix is known
+      updater.awaitCut();
+      (void)orExit(updater.frame(first.at, first.velocity, 1));
+      orExit(streamer->settle());
+    }
     (void)orExit(updater.converge(1e-5f, 2000));
     std::vector<Vec4> radiosity(updater.matrix().slots());
     orExit(updater.reflected(radiosity));
