@@ -22,14 +22,16 @@ void carryOver(std::span<const SlotRange> old, std::span<const Vec4> values, con
   }
 }
 
+constexpr float kBuilds = 2;  // a tile may have to wait for the matrix that is being put together, and then for its own
+
 Error noLight(std::string place, const char* why) {
   return {ErrorCode::kUsage, "", std::move(place), why, "give a finite number from 0 to 1e12 W/m2"};
 }
 
 }  // namespace
 
-Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light)
-    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), assembler_(world, far_light) {
+Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background)
+    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background) {
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->reserve(kMaxSlots);
   tiles_before_.reserve(kMaxSlots / 16);
@@ -95,19 +97,16 @@ std::string Updater::nameOf(uint32_t slot) const {
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
   light_zeroed_ = 0;
+  streamer_.setLead(kBuilds * cut_.latencySeconds());
   streamer_.update(observer, velocity);
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
-  const auto& tiles = assembler_.matrix().tiles;
-  tiles_before_.assign(tiles.begin(), tiles.end());
-  if (auto updated = assembler_.update(streamer_.active()); !updated) return updated.error();
-  const bool changed = assembler_.change().any || missed_;
-  if (changed)
-    if (auto taken = takeUpChange(); !taken) return taken.error();
+  const auto changed = followCut();
+  if (!changed) return changed.error();
   if (sky_changed_ || light_changed_ || lamps_changed_)
     if (auto relit = relightAll(); !relit) return relit.error();
   FrameStats stats = counts_;
-  stats.matrix_changed = changed;
+  stats.matrix_changed = *changed;
   stats.light_zeroed = light_zeroed_;
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
@@ -116,9 +115,25 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   return stats;
 }
 
+// Whether the matrix has changed.
+Result<bool> Updater::followCut() {
+  const bool whole = std::exchange(await_cut_, false) || !started_;
+  bool changed = false;
+  do {
+    if (whole) cut_.await();
+    const auto& tiles = matrix().tiles;
+    tiles_before_.assign(tiles.begin(), tiles.end());
+    if (auto followed = cut_.next(streamer_.active()); !followed) return followed.error();
+    if (!cut_.change().any && !missed_) continue;
+    changed = true;
+    if (auto taken = takeUpChange(); !taken) return taken.error();
+  } while (whole && !cut_.holds(streamer_.active()));
+  return changed;
+}
+
 Result<void> Updater::takeUpChange() {
   const LocalMatrix& m = matrix();
-  const MatrixChange& change = assembler_.change();
+  const MatrixChange& change = cut_.change();
   Result<void> read;
   const bool carry = started_ && (change.renumbered || missed_);
   if (carry) {
@@ -171,7 +186,7 @@ const MatrixChange& Updater::wholeMatrix() {
 
 void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
   const SlotRange& range = matrix().tiles[tile];
-  const stream::ResidentStrip& strip = assembler_.strip(tile);
+  const stream::ResidentStrip& strip = cut_.strip(tile);
   const std::span<Vec3> direct = std::span(direct_irradiance_).subspan(range.first_slot, range.nodes);
   const std::span<Vec3> lamps = std::span(lamp_irradiance_).subspan(range.first_slot, range.nodes);
   if (ask_direct_light) {
@@ -221,7 +236,7 @@ Result<Settled> Updater::converge(float tolerance, int max_iterations) {
   return runtime::converge(solver_, {.tolerance = tolerance, .max_iterations = max_iterations}, radiosity_, before_);
 }
 
-const LocalMatrix& Updater::matrix() const { return assembler_.matrix(); }
+const LocalMatrix& Updater::matrix() const { return cut_.matrix(); }
 
 Result<void> Updater::radiosity(std::span<Vec4> out) {
   if (auto read = solver_.radiosity(out); !read) return read;

@@ -5,7 +5,7 @@
 #include <span>
 #include <string>
 
-#include "runtime/cut/matrix_assembler.h"
+#include "runtime/cut/cut_builder.h"
 #include "runtime/lamps.h"
 #include "runtime/sky.h"
 #include "runtime/solver/converge.h"
@@ -30,9 +30,10 @@ struct FrameStats {
 
 class Updater {
  public:
-  // All three must outlive the updater.
+  // All three must outlive the updater. background: the matrix of a new cut is put together on a thread of its own and taken up a frame or two later,
+  // whole; else within the frame.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
-          FarLight far_light = FarLight::kPyramid);
+          FarLight far_light = FarLight::kPyramid, bool background = false);
   // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
   // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
@@ -51,12 +52,16 @@ class Updater {
   // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations);
+  // The next frame waits until the matrix is that of the streamer's active tiles.
+  void awaitCut() { await_cut_ = true; }
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
   Result<Settled> converge(float tolerance, int max_iterations);
 
   const LocalMatrix& matrix() const;  // of the last frame
-  const MatrixAssembler& assembler() const { return assembler_; }
-  void renumberNext() { assembler_.renumberNext(); }  // for tests
+  // By number in LocalMatrix::tiles.
+  const stream::ResidentStrip& strip(size_t tile) const { return cut_.strip(tile); }
+  void renumberNext() { cut_.renumberNext(); }  // these two are for tests
+  void awaitBuild() const { cut_.await(); }     // what is put together in the background is ready for the next frame
   // What the solver was told of the matrix, by the last frame that says matrix_changed.
   const MatrixChange& change() const { return *told_; }
   // Per slot, W/m2, rgb and 0:
@@ -70,6 +75,7 @@ class Updater {
   const std::string& lightFault() const { return light_fault_; }
 
  private:
+  Result<bool> followCut();
   Result<void> takeUpChange();
   const MatrixChange& wholeMatrix();
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
@@ -83,7 +89,7 @@ class Updater {
   Sky sky_;
   Lamps lamps_;
   DirectLight direct_light_;
-  MatrixAssembler assembler_;
+  CutBuilder cut_;
   Vec3 ambient_;
   std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
@@ -92,6 +98,7 @@ class Updater {
   std::vector<SlotRange> tiles_before_;
   FrameStats counts_;  // of the matrix
   uint64_t emission_change_ = 0;
+  bool await_cut_ = false;
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   MatrixChange whole_;
   const MatrixChange* told_ = &whole_;

@@ -1,6 +1,9 @@
 // One strip on its way from a shard through io_uring: where the rest of it lies, and what became of it. Not thread-safe; one
 // owner at a time.
 #pragma once
+#include <fcntl.h>
+
+#include <atomic>
 #include <cerrno>
 #include <cstddef>
 #include <cstring>
@@ -12,10 +15,24 @@
 
 namespace ff::stream {
 
+// Tells the kernel, once a shard, that strips are read here and there: it would read much more around each of them else. Thread-safe.
+class RandomReads {
+ public:
+  explicit RandomReads(const formats::World& world) : told_(world.shards().size()) {}
+  void expect(uint32_t shard, const Result<int>& descriptor) {
+    if (descriptor && *descriptor >= 0 && !told_[shard].exchange(true)) ::posix_fadvise(*descriptor, 0, 0, POSIX_FADV_RANDOM);
+  }
+
+ private:
+  std::vector<std::atomic<bool>> told_;
+};
+
 class FileRequest {
  public:
-  FileRequest(const formats::World& world, formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options)
-      : world_(&world), id_(id), extent_(extent), descriptor_(world.descriptor(extent.shard)), options_(options), bytes_(extent.stored_bytes) {}
+  FileRequest(const formats::World& world, formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, RandomReads& random)
+      : world_(&world), id_(id), extent_(extent), descriptor_(world.descriptor(extent.shard)), options_(options), bytes_(extent.stored_bytes) {
+    random.expect(extent.shard, descriptor_);
+  }
 
   formats::TileId id() const { return id_; }
   int descriptor() const { return *descriptor_; }

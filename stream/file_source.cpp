@@ -6,6 +6,7 @@
 #include <new>
 #include <thread>
 
+#include "stream/file_request.h"
 #include "stream/start_threads.h"
 
 namespace ff::stream {
@@ -13,7 +14,7 @@ namespace {
 
 class ThreadSource final : public TileSource {
  public:
-  ThreadSource(const formats::World& world, int threads) : world_(world) {
+  ThreadSource(const formats::World& world, int threads) : world_(world), random_(world) {
     startThreads(threads_, std::max(threads, 1), [this] { work(); });
   }
 
@@ -58,7 +59,8 @@ class ThreadSource final : public TileSource {
     }
   }
 
-  Result<std::vector<std::byte>> readBlocking(const formats::Extent& extent, const formats::ReadOptions& options) const try {
+  Result<std::vector<std::byte>> readBlocking(const formats::Extent& extent, const formats::ReadOptions& options) try {
+    random_.expect(extent.shard, world_.descriptor(extent.shard));
     std::vector<std::byte> bytes(extent.stored_bytes);
     if (auto ok = world_.readStored(extent, bytes, options); !ok) return ok.error();
     return bytes;
@@ -67,6 +69,7 @@ class ThreadSource final : public TileSource {
   }
 
   const formats::World& world_;
+  RandomReads random_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<Item> queue_;

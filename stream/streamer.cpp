@@ -5,10 +5,12 @@
 #include <cmath>
 #include <future>
 #include <new>
+#include <optional>
 #include <system_error>
 #include <utility>
 
 #include "stream/file_source.h"
+#include "stream/path_planner.h"
 #include "stream/strip_loader.h"
 #include "stream/tile_cache.h"
 #include "stream/tile_map.h"
@@ -18,9 +20,6 @@ namespace ff::stream {
 namespace {
 
 using formats::TileId;
-
-// How far ahead the queue looks along the velocity: about what a queue of reads takes to arrive.
-constexpr float kLookAheadSeconds = 0.5f;
 
 // A failed strip is read once more before it is given up.
 Result<StripPtr> loadNow(const formats::World& world, TileSource& source, const formats::TileRef& tile) {
@@ -43,12 +42,15 @@ class StreamerImpl final : public Streamer {
         wanted_(world, settings),
         cache_(settings.memory_bytes, settings.kept_bytes, wanted_.maxWanted() + kMoreCached),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted(), wanted_.maxWanted() + kMoreCached) {
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted() + PathPlanner::kMaxTiles, wanted_.maxWanted() + kMoreCached),
+        ahead_bytes_(settings.ahead_bytes),
+        memory_bytes_(settings.memory_bytes) {
+    if (settings.ahead_seconds > 0) planner_.emplace(world, settings, top);
     for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
     failures_.reserve(64);
     chunk_failures_.reserve(64);
     previous_.reserve(wanted_.maxWanted());
-    missing_.reserve(wanted_.maxWanted());
+    missing_.reserve(wanted_.maxWanted() + PathPlanner::kMaxTiles);
     active_.reserve(wanted_.maxWanted());
     next_active_.reserve(wanted_.maxWanted());
   }
@@ -69,23 +71,30 @@ class StreamerImpl final : public Streamer {
   }
 
   bool update(Vec3 observer, Vec3 velocity) override {
-    const bool moved = !started_ || !(observer == observer_);
+    const bool moved = !started_ || !(observer == observer_) || (lead_seconds_ > 0 && !(velocity == velocity_));
     const bool retries = isRetryDue();
-    if (!moved && !loader_.anyArrived() && !retries) return false;
+    if (planner_ && (moved || !(velocity == velocity_))) planner_->aim(observer, velocity, loader_.latencySeconds());
+    const bool planned = planner_ && planner_->fresh();
+    if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
     observer_ = observer;
     velocity_ = velocity;
-    const bool index_grew = takeArrivals();
+    bool index_grew = takeArrivals();
+    if (planned) index_grew |= takePlan();
     if (moved || index_grew || retries) walk();
+    limitAhead();
     queueMissing();
     return chooseActive();
   }
 
+  void setLead(float seconds) override { lead_seconds_ = std::clamp(seconds, 0.0f, 1.0f); }
   std::span<const StripPtr> active() const override { return active_; }
 
   Result<void> settle() override {
     for (;;) {
       update(observer_, velocity_);
+      if (planner_) planner_->await();
+      if (planner_ && planner_->fresh()) continue;
       if (loader_.backlog().idle()) return {};
       loader_.awaitProgress();
     }
@@ -99,6 +108,8 @@ class StreamerImpl final : public Streamer {
     stats.peak_resident_bytes = cache_.peakBytes();
     stats.resident_tiles = cache_.tiles();
     stats.wanted_tiles = static_cast<uint32_t>(previous_.size());
+    stats.ahead_tiles = static_cast<uint32_t>(ahead_);
+    stats.late_tiles = stats.wanted_tiles - static_cast<uint32_t>(active_.size());
     const StripLoader::Backlog backlog = loader_.backlog();
     stats.pending_tiles = backlog.queued + backlog.under_way + backlog.arrived;
     return stats;
@@ -110,12 +121,14 @@ class StreamerImpl final : public Streamer {
   using Clock = std::chrono::steady_clock;
   static constexpr uint32_t kGivenUp = 2;       // failures
   static constexpr size_t kMoreCached = 8192;   // tiles, beyond those that are wanted
+  static constexpr float kAimSeconds = 0.5f;    // of what is late, tiles in front of the observer come first
+  static constexpr float kAheadNeed = 1e6f;     // what is late comes before what is ahead
   struct Failure {
     uint32_t times = 0;
     Clock::time_point retry_at;
   };
   struct Missing {
-    float need;  // distance over radius, where the observer will be
+    float need;  // distance over radius, where the observer will be; kAheadNeed and the seconds until then of what is read ahead
     WantedTiles::Tile tile;
   };
 
@@ -125,7 +138,7 @@ class StreamerImpl final : public Streamer {
     for (StripLoader::Arrival& arrival : loader_.take()) {
       ++stats_.strips_read;
       stats_.bytes_read += arrival.stored_bytes;
-      const bool wanted = wanted_.isWanted(arrival.id);
+      const bool wanted = wanted_.isWanted(arrival.id) || isAhead(arrival.id);
       if (arrival.strip) {
         failures_.erase(arrival.id);
         cache_.insert(std::move(arrival.strip), wanted, loader_.retired());
@@ -146,12 +159,43 @@ class StreamerImpl final : public Streamer {
     return index_grew;
   }
 
+  // Returns whether it brought chunks.
+  bool takePlan() {
+    planner_->take(next_plan_);
+    // Tiles that the new plan has no more, too.
+    for (const PathPlanner::Ahead& tile : std::span(plan_->tiles).first(std::exchange(ahead_, 0))) dropAhead(tile.id);
+    std::swap(plan_, next_plan_);
+    bool index_grew = false;
+    for (const formats::ChunkPtr& chunk : plan_->chunks) {
+      if (wanted_.has(chunk->tiles[0].id)) continue;
+      wanted_.add(chunk);
+      index_grew = true;
+    }
+    return index_grew;
+  }
+
+  // As much of the plan, the soonest first, as there is memory for beside what is wanted.
+  void limitAhead() {
+    const uint64_t room = std::min(ahead_bytes_, memory_bytes_ - std::min(memory_bytes_, wanted_.bytes()));
+    uint64_t bytes = 0;
+    size_t fit = 0;
+    while (fit < plan_->tiles.size() && bytes + plan_->tiles[fit].bytes <= room) bytes += plan_->tiles[fit++].bytes;
+    while (ahead_ > fit) dropAhead(plan_->tiles[--ahead_].id);
+    while (ahead_ < fit) cache_.setWanted(plan_->tiles[ahead_++].id, true);
+  }
+  bool isAhead(TileId id) const {
+    const auto at = std::ranges::lower_bound(plan_->by_id, id, {}, &PathPlanner::Plan::Named::id);
+    return at != plan_->by_id.end() && at->id == id && at->rank < ahead_;
+  }
+  void dropAhead(TileId id) {
+    if (!wanted_.isWanted(id)) cache_.setWanted(id, false);
+  }
+
   void walk() {
-    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_);
+    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_, observer_ + velocity_ * lead_seconds_);
     for (const TileId id : previous_) {
-      if (wanted_.isWanted(id)) continue;
+      if (wanted_.isWanted(id) || isAhead(id)) continue;
       cache_.setWanted(id, false);
-      failures_.erase(id);  // the next visit may try again
     }
     previous_.clear();
     for (const WantedTiles::Tile& tile : now) {
@@ -162,13 +206,13 @@ class StreamerImpl final : public Streamer {
     wanted_.forget(loader_.retired());
   }
 
-  // Wanted tiles that are neither here nor given up; the loader leaves out those on their way.
+  // Tiles that are wanted, now or ahead, and are neither here nor given up; the loader leaves out those on their way.
   void queueMissing() {
-    const Vec3 ahead = observer_ + velocity_ * kLookAheadSeconds;
     missing_.clear();
     for (const WantedTiles::Tile& tile : wanted_.wanted())
-      if (!cache_.find(tile.id) && !isGivenUp(failures_, tile.id))
-        missing_.push_back({tile.info().bounds.distance(ahead) / wanted_.radius(tile.id.level), tile});
+      if (isMissing(tile.id)) missing_.push_back({tile.info().bounds.distance(observer_ + velocity_ * kAimSeconds) / wanted_.radius(tile.id.level), tile});
+    for (const PathPlanner::Ahead& tile : std::span(plan_->tiles).first(ahead_))
+      if (isMissing(tile.id) && !wanted_.isWanted(tile.id)) missing_.push_back({kAheadNeed + tile.seconds, {tile.id, tile.chunk}});
     forgetFailures();
     for (const ChunkRequest& request : wanted_.missingChunks())
       if (!isGivenUp(chunk_failures_, request.id())) loader_.chunkQueue().push_back(request);
@@ -187,22 +231,32 @@ class StreamerImpl final : public Streamer {
   bool chooseActive() {
     next_active_.clear();
     for (size_t i = previous_.size(); i-- > 0;) {
-      const TileId id = previous_[i];
-      const StripPtr& strip = cache_.find(id);
-      if (!strip) continue;
-      const bool top = id.level + 1 == world_.levels().size();
-      const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
-      if (!top) {
-        const TileId parent{id.level + 1, strip->tile.info().parent_tile};
-        const auto at = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
-        if (at == next_active_.end() || (*at)->id != parent) continue;
-      }
-      next_active_.push_back(strip);
+      const StripPtr& strip = cache_.find(previous_[i]);
+      if (strip && canStand(strip->tile)) next_active_.push_back(strip);
     }
     std::reverse(next_active_.begin(), next_active_.end());
     if (next_active_ == active_) return false;
     active_.swap(next_active_);
     return true;
+  }
+
+  // Whether the tiles above are in next_active_, but for those that failed.
+  bool canStand(const formats::TileRef& tile) const {
+    const formats::Chunk* chunk = tile.chunk.get();
+    for (uint32_t at = tile.index; !chunk->isTop();) {
+      const TileId parent{chunk->level + 1, chunk->tiles[at].parent_tile};
+      const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
+      const auto found = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
+      if (found != next_active_.end() && (*found)->id == parent) return true;
+      if (failures_.empty() || !hasFailed(parent)) return false;
+      chunk = chunk->parent.get();
+      at = parent.tile - chunk->firstTile();
+    }
+    return true;
+  }
+  bool hasFailed(TileId id) const {
+    const auto at = failures_.find(id);
+    return at != failures_.end() && at->second.times >= kGivenUp;
   }
 
   using Failures = TileMap<Failure>;
@@ -215,8 +269,10 @@ class StreamerImpl final : public Streamer {
     const auto at = failures.find(id);
     return at != failures.end() && at->second.times >= kGivenUp && Clock::now() < at->second.retry_at;
   }
-  // Of chunks that the observer has left.
+  // Of what the observer has left: the next visit may try again.
   void forgetFailures() {
+    for (auto at = failures_.begin(); at != failures_.end();)
+      at = wanted_.isWanted(at->first) || std::ranges::binary_search(plan_->by_id, at->first, {}, &PathPlanner::Plan::Named::id) ? std::next(at) : failures_.erase(at);
     for (auto at = chunk_failures_.begin(); at != chunk_failures_.end();)
       at = std::ranges::any_of(wanted_.missingChunks(), [id = at->first](const ChunkRequest& r) { return r.id() == id; }) ? std::next(at) : chunk_failures_.erase(at);
   }
@@ -226,6 +282,8 @@ class StreamerImpl final : public Streamer {
     return false;
   }
 
+  bool isMissing(TileId id) const { return !cache_.find(id) && !isGivenUp(failures_, id); }
+
   const formats::World& world_;
   const Clock::duration retry_after_;
   WantedTiles wanted_;
@@ -234,12 +292,17 @@ class StreamerImpl final : public Streamer {
   bool started_ = false, has_queue_ = false;
   std::vector<TileId> previous_;       // wanted by the last walk, sorted
   std::vector<Missing> missing_;
-  Failures failures_;                  // of wanted tiles
+  Failures failures_;                  // of tiles wanted now or ahead
   Failures chunk_failures_;            // by their first tile
   std::vector<StripPtr> active_, next_active_;
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
-  StripLoader loader_;  // last: its reads end before the source goes
+  StripLoader loader_;  // its reads end before the source goes
+  float lead_seconds_ = 0;
+  const uint64_t ahead_bytes_, memory_bytes_;
+  std::optional<PathPlanner> planner_;
+  std::unique_ptr<PathPlanner::Plan> plan_ = std::make_unique<PathPlanner::Plan>(), next_plan_ = std::make_unique<PathPlanner::Plan>();
+  size_t ahead_ = 0;  // tiles of plan_ that there is memory for: kept and read
 };
 
 Result<void> check(const formats::World& world, const StreamSettings& s, std::span<const formats::ChunkPtr> top) {
@@ -252,6 +315,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
     return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
   if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
+  if (!(s.ahead_seconds >= 0 && s.ahead_seconds <= 10)) return refuse("ahead_seconds is not between 0 and 10", "try 0.5");
   if (!(s.retry_seconds > 0 && s.retry_seconds <= 1e6f)) return refuse("retry_seconds is not between 0 and 1e6", "try 5");
   uint64_t nodes = 0, bytes = 0;
   for (const formats::ChunkPtr& chunk : top)

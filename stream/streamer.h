@@ -1,6 +1,6 @@
 // Keeps the strips near the observer in memory. update() runs on the frame thread; it never waits, and allocates and frees
-// nothing: it takes what has arrived, asks for what is missing (nearest deadline first) and evicts what is no longer
-// wanted. Reading, checking, decoding and freeing happen on other threads. The coarsest level is loaded by create() and never leaves.
+// nothing: it takes what has arrived, asks for what is missing and for what the observer's path will want (nearest deadline first) and
+// evicts what is no longer wanted. Planning, reading, checking, decoding and freeing happen on other threads. The coarsest level is loaded by create() and never leaves.
 #pragma once
 #include <cstdint>
 #include <memory>
@@ -22,12 +22,14 @@ struct StreamSettings {
   float growth = 1.6f;                          // g: r_l = r_0 * g^l
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
-  uint64_t kept_bytes = uint64_t{8} << 20;      // of these, of strips that are wanted no more: for the observer's return
+  uint64_t kept_bytes = uint64_t{6} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 4096;             // likewise, for active patches
   uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
-  int queue_depth = 8;
+  int queue_depth = 16;                         // reads at a time: what flies at 80 m/s wants some 150 a second, also where each takes 0.1 s
+  float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
+  uint64_t ahead_bytes = uint64_t{6} << 20;     // of memory_bytes, at most, for what is read ahead
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 
@@ -35,6 +37,8 @@ struct StreamStats {
   uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
+  uint32_t late_tiles = 0;   // wanted by the last update() and not active
+  uint32_t ahead_tiles = 0;  // that the observer's path will want: read ahead, or to be
 };
 
 class Streamer {
@@ -44,14 +48,16 @@ class Streamer {
                                                   std::unique_ptr<TileSource> source = nullptr);
   virtual ~Streamer() = default;
 
-  // observer: m; velocity: m/s (orders the queue by the time of need). Returns true if the active set has changed.
+  // observer: m; velocity: m/s, by which and by how it turns the path is foretold and read ahead. Returns true if the active set has changed.
   virtual bool update(Vec3 observer, Vec3 velocity) = 0;
+  // From the next update() on a tile is wanted so long before the observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
+  virtual void setLead(float seconds) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
-  // is active: so the ancestors of an active node are active too. Valid until the next update();
+  // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
   // after the last has let go.
   virtual std::span<const StripPtr> active() const = 0;
-  // Blocks until nothing is pending for the last observer (tests, headless pictures), calling update() as it goes.
+  // Blocks until nothing is pending for the last observer and its path (tests, headless pictures), calling update() as it goes.
   virtual Result<void> settle() = 0;
   virtual StreamStats stats() const = 0;
   // The last strip that could not be read or decoded, as a line with its remedy; empty: none yet.

@@ -48,7 +48,7 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
     queue->chunks.reserve(kMaxChunks);
   }
   sorted_.reserve(max_queued);
-  const size_t max_arrived = 5 * depth_;  // 4 * depth_ that wait, and what was under way then
+  const size_t max_arrived = 3 * depth_;  // 2 * depth_ that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
   for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
   for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
@@ -205,16 +205,16 @@ void StripLoader::startReads() {
 std::optional<TileRef> StripLoader::nextRead() {
   const std::lock_guard lock(pipeline_mutex_);
   std::optional<TileRef> found;
-  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 4 * depth_) {
+  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 2 * depth_) {
     TileRef tile = std::move(queue_.tiles.back());
     queue_.tiles.pop_back();
     const TileId id = tile.id();
     // Whoever made the queue did not know of arrivals after the queue_.taken-th.
     const bool arrived = std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; });
-    if (!arrived && std::ranges::find(under_way_, id, &TileRef::id) == under_way_.end()) found = std::move(tile);
+    if (!arrived && std::ranges::find(under_way_, id, &UnderWay::id) == under_way_.end()) found = std::move(tile);
   }
   if (found) {
-    under_way_.push_back(*found);
+    under_way_.push_back({*found, std::chrono::steady_clock::now()});
     under_way_count_.fetch_add(1);
     ++reads_;
   }
@@ -273,7 +273,7 @@ void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
   if (!bytes) {
     fail(id, bytes.error(), 0);
   } else try {
-    to_decode_.push_back({*std::ranges::find(under_way_, id, &TileRef::id), std::move(*bytes)});
+    to_decode_.push_back({std::ranges::find(under_way_, id, &UnderWay::id)->tile, std::move(*bytes)});
   } catch (const std::bad_alloc&) {
     fail(id, {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
   }
@@ -318,7 +318,10 @@ void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
     arrived_count_.store(static_cast<uint32_t>(arrived_.size()));
   }
   if (since_taken_.size() < since_taken_.capacity()) since_taken_.emplace_back(arrivals_, id);  // else it may be read twice
-  std::erase_if(under_way_, [id](const TileRef& tile) { return tile.id() == id; });
+  const auto at = std::ranges::find(under_way_, id, &UnderWay::id);
+  const float took = std::chrono::duration<float>(std::chrono::steady_clock::now() - at->since).count();
+  latency_seconds_ = std::max(took, 0.98f * latency_seconds_.load());
+  under_way_.erase(at);
   under_way_count_.fetch_sub(1);
   progress();
 }

@@ -4,6 +4,7 @@
 // addition of one arrival).
 #pragma once
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <deque>
@@ -50,7 +51,7 @@ class StripLoader {
   };
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
-  // depth: strips being read or decoded at any time; at most 4 * depth more wait to be taken.
+  // depth: strips being read or decoded at any time; at most 2 * depth more wait to be taken.
   // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
               size_t max_retired);
@@ -76,6 +77,8 @@ class StripLoader {
   Backlog backlog() const;
   // Tiles that were dropped from the queue after the loader's threads had seen them there.
   uint64_t cancelled() const { return cancelled_.load(); }
+  // From the start of a strip's read to its arrival, s: the longest of late, which a shorter one lowers by a fiftieth.
+  float latencySeconds() const { return latency_seconds_.load(); }
   // The last strip that could not be read or decoded, as a line; empty: none yet. Allocates.
   std::string lastFailure() const;
   // Blocks until something has arrived or nothing is queued or under way.
@@ -136,7 +139,12 @@ class StripLoader {
   mutable std::mutex pipeline_mutex_;
   std::condition_variable reads_done_;
   Queue queue_, incoming_;
-  std::vector<formats::TileRef> under_way_;      // being read, waiting for a decoder or being decoded; depth_ at most
+  struct UnderWay {
+    formats::TileRef tile;
+    std::chrono::steady_clock::time_point since;
+    formats::TileId id() const { return tile.id(); }
+  };
+  std::vector<UnderWay> under_way_;              // being read, waiting for a decoder or being decoded; depth_ at most
   std::vector<formats::TileId> chunks_under_way_;
   std::vector<std::pair<uint32_t, formats::TileId>> since_taken_;  // arrivals after the queue_.taken-th, with their numbers from 1
   std::vector<formats::TileId> sorted_;          // of incoming_
@@ -151,6 +159,7 @@ class StripLoader {
   // none.
   std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0}, arrived_chunk_count_{0};
   std::atomic<uint64_t> cancelled_{0};
+  std::atomic<float> latency_seconds_{0};
   std::atomic<uint32_t> wake_{0}, progress_{0};  // change when there may be work, or something to see
   std::vector<std::thread> threads_;
 };

@@ -21,10 +21,11 @@ namespace ff::stream {
 namespace {
 
 constexpr unsigned kRingEntries = 64;
+constexpr int kSubmitTries = 1000;  // where the kernel is out of memory for the moment; then it counts as refusing the ring
 
 class UringSource final : public TileSource {
  public:
-  explicit UringSource(const formats::World& world) : world_(world) {}
+  explicit UringSource(const formats::World& world) : world_(world), random_(world) {}
 
   ~UringSource() override {
     if (!thread_.joinable()) return;
@@ -56,7 +57,7 @@ class UringSource final : public TileSource {
   }
 
   void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) override {
-    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, extent, options), std::move(done)});
+    auto item = std::make_unique<Item>(Item{FileRequest(world_, id, extent, options, random_), std::move(done)});
     const std::lock_guard lock(mutex_);
     waiting_.push_back(std::move(item));
     submitWaiting();
@@ -100,9 +101,8 @@ class UringSource final : public TileSource {
     const std::span<std::byte> rest = item.request.remaining();
     io_uring_prep_read(entry, item.request.descriptor(), rest.data(), static_cast<unsigned>(rest.size()), item.request.offset());
     io_uring_sqe_set_data64(entry, place);
-    int rc = 0;
-    do rc = io_uring_submit(&ring_);
-    while (rc == -EINTR || rc == -EAGAIN || rc == -EBUSY);
+    int rc = -EAGAIN;
+    for (int tries = 0; tries < kSubmitTries && (rc == -EINTR || rc == -EAGAIN || rc == -EBUSY); ++tries) rc = io_uring_submit(&ring_);
     item.submitted = rc >= 0;
     submitted_ += item.submitted;
     broken_ = broken_ || rc < 0;
@@ -199,6 +199,7 @@ class UringSource final : public TileSource {
   }
 
   const formats::World& world_;
+  RandomReads random_;
   io_uring ring_{};
   std::mutex mutex_;
   std::condition_variable wake_;

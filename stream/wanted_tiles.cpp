@@ -63,8 +63,10 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
   }
 }
 
-std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer) {
+std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer, Vec3 soon) {
   ++walks_;
+  observer_ = observer;
+  soon_ = soon;
   wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();
@@ -76,7 +78,7 @@ std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer) {
   const formats::Chunk& root = *world_.root();
   for (uint32_t k = 0; k < root.children.size(); ++k)
     if (const formats::Chunk* chunk = look(root, k))
-      for (const TileInfo& info : chunk->tiles) admit({info.id, chunk}, observer);
+      for (const TileInfo& info : chunk->tiles) admit({info.id, chunk});
   while (!heap_.empty()) {
     std::pop_heap(heap_.begin(), heap_.end());
     const Tile tile = heap_.back().tile;
@@ -88,7 +90,7 @@ std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer) {
     if (tile.id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
       level0_closed_ = true;
     else
-      admit(tile, observer);
+      admit(tile);
   }
   std::sort(wanted_.begin(), wanted_.end(), [](const Tile& a, const Tile& b) { return a.id < b.id; });
   std::reverse(missing_.begin(), missing_.end());  // they were found nearest first
@@ -106,7 +108,7 @@ const formats::Chunk* WantedTiles::look(const formats::Chunk& parent, uint32_t c
   return nullptr;
 }
 
-void WantedTiles::admit(const Tile& tile, Vec3 observer) {
+void WantedTiles::admit(const Tile& tile) {
   const TileInfo& info = tile.info();
   wanted_.push_back(tile);
   bytes_ += residentBytesBound(world_, info);
@@ -114,21 +116,21 @@ void WantedTiles::admit(const Tile& tile, Vec3 observer) {
   if (info.id.level == 0)
     level0_nodes_ += info.nodes;
   else
-    offerChildren(tile, observer);
+    offerChildren(tile);
 }
 
-void WantedTiles::offerChildren(const Tile& parent, Vec3 observer) {
+void WantedTiles::offerChildren(const Tile& parent) {
   const uint32_t level = parent.id.level - 1;
   const TileInfo& info = parent.info();
   const uint32_t child = parent.chunk->childWith(info.first_child);
   const float wide = radius_m_[level] * settings_.hysteresis;
-  if (parent.chunk->children[child].bounds.distance(observer) >= wide) return;
+  if (distance(parent.chunk->children[child].bounds) >= wide) return;
   const formats::Chunk* chunk = look(*parent.chunk, child);
   if (!chunk) return;
   for (uint32_t t = info.first_child; t < info.end_child; ++t) {
     const Tile tile{{level, t}, chunk};
     const bool stays = contains(wanted_before_, tile.id);
-    const float key = tile.info().bounds.distance(observer) / (stays ? wide : radius_m_[level]);
+    const float key = distance(tile.info().bounds) / (stays ? wide : radius_m_[level]);
     if (!(key < 1)) continue;
     heap_.push_back({key, tile});
     std::push_heap(heap_.begin(), heap_.end());

@@ -34,12 +34,16 @@ class WantedTiles {
   // A chunk's index has come: the next walk goes on there.
   void add(formats::ChunkPtr chunk);
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
-  std::span<const Tile> walk(Vec3 observer);
+  // soon: where the observer will be when what is active counts; what is near there is as near.
+  std::span<const Tile> walk(Vec3 observer, Vec3 soon);
+  std::span<const Tile> walk(Vec3 observer) { return walk(observer, observer); }
   std::span<const Tile> wanted() const { return wanted_; }
   // Chunks beyond which the last walk could not look, the most urgent last. Valid until the next walk.
   std::span<const ChunkRequest> missingChunks() const { return missing_; }
   // Hands over chunks that no walk has looked at for long.
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
+  bool has(formats::TileId first_tile) const { return chunks_.contains(first_tile); }  // a chunk
+  uint64_t bytes() const { return bytes_; }  // of the last walk's tiles, at most
   bool isWanted(formats::TileId id) const { return contains(wanted_, id); }
   // Tiles of a walk, at most.
   size_t maxWanted() const { return max_wanted_; }
@@ -63,11 +67,16 @@ class WantedTiles {
   };
   static bool contains(std::span<const Tile> tiles, formats::TileId id) { return std::ranges::binary_search(tiles, id, {}, &Tile::id); }
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
-  void admit(const Tile& tile, Vec3 observer);
-  void offerChildren(const Tile& parent, Vec3 observer);
+  void admit(const Tile& tile);
+  void offerChildren(const Tile& parent);
+  float distance(const Box& bounds) const {
+    const float here = bounds.distance(observer_);
+    return soon_ == observer_ ? here : std::min(here, bounds.distance(soon_));
+  }
 
   const formats::World& world_;
   const StreamSettings settings_;
+  Vec3 observer_, soon_;  // of the walk
   size_t max_wanted_ = 0;
   std::vector<float> radius_m_;  // per level
   TileMap<Here> chunks_;         // by their first tile

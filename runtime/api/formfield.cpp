@@ -151,7 +151,7 @@ FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<format
       streamer(std::move(strips)),
       choice(chosen),
       solver(std::move(made)),
-      updater(*world, *streamer, current) {
+      updater(*world, *streamer, current, FarLight::kPyramid, true) {
   updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   if (settings.probes > 0) {
     ProbeSettings probe_settings;
@@ -170,7 +170,7 @@ void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
   const auto& active = updater.matrix().tiles;
   const auto at = std::lower_bound(active.begin(), active.end(), id,
                                    [](const SlotRange& range, formats::TileId of) { return range.id < of; });
-  const auto& strip = updater.assembler().strip(static_cast<size_t>(at - active.begin()));
+  const auto& strip = updater.strip(static_cast<size_t>(at - active.begin()));
   for (size_t i = 0; i < strip.nodes.size(); ++i) {
     const formats::Node& n = strip.nodes[i];
     nodes[i] = {{n.centroid.x, n.centroid.y, n.centroid.z},
@@ -225,6 +225,7 @@ Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) 
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
   if (!(tolerance > 0) || max_iterations > 1000000) return usageError("tolerance", "is not positive, or too many iterations");
   if (auto loaded = streamer->settle(); !loaded) return loaded;
+  updater.awaitCut();
   const auto stats = updater.frame(observer, velocity, 1);
   if (!stats) return stats.error();
   followCut(*stats);
@@ -270,7 +271,7 @@ Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<co
     followed = change;
     probe_tiles.clear();
     for (size_t t = 0; t < matrix.tiles.size(); ++t)
-      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.assembler().strip(t).nodes});
+      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.strip(t).nodes});
   }
   probes->follow(observer, probe_tiles, matrix.leaf, change);
   probes->sample(points, normals, radiosity, sky, out);

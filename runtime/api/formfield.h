@@ -11,7 +11,7 @@
  * Ownership: handles are the caller's to destroy, worlds before their device. Pointers that functions return belong to
  *   the world and say how long they are valid. Strings and arrays passed in are copied or only read during the call.
  * Threads: a device and its worlds are used by one thread at a time (any). Callbacks come on the calling thread. The
- *   library's own threads read, decode and, on the CPU, share the solver's work.
+ *   library's own threads read, decode, put matrices together and, on the CPU, share the solver's work.
  * The frame path (formfieldFrame, formfieldRecord, formfieldSample, the setters and everything that only reads):
  *   allocates and frees nothing and waits for no file after formfieldOpenWorld, errors aside. formfieldFrame waits for
  *   the device that it runs on.
@@ -178,8 +178,8 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
 
 /* ---- Frames ---- */
 
-/* One frame: takes what has been loaded, asks for what is missing (`velocity`, m/s, says what will be needed), brings the
- * cut and its matrix up to date, and iterates. On a Vulkan device it submits and waits; formfieldRecord
+/* One frame: takes what has been loaded, asks for what is missing and for what the path will need (it is foretold by `velocity`, m/s,
+ * and how that turns), takes up the newest cut whose matrix is ready, which is put together on a thread of the library's own, and iterates. On a Vulkan device it submits and waits; formfieldRecord
  * (formfield_vulkan.h) does the same into the caller's command buffer. observer: m, in the scene's own world space, however far from its
  * zero that is; all positions that are floats count from FormfieldWorldInfo::origin. */
 FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]);

@@ -2,7 +2,8 @@
 //
 // Every node of an active tile has a slot, and keeps it while the tile is active. A slot is a *leaf* (its children are
 // not active: it is a node of the cut, and its own level's row lights it) or *refined* (its radiosity is the
-// area-weighted mean of its children's). A column node J of a row resolves to J's slot if J's tile is active, else to
+// area-weighted mean of its children's). The nodes of a tile whose parent tile is not active (it could not be read) stand alone: what is theirs
+// resolves to them, and what is their parents' to the next ancestor, which stays a leaf. A column node J of a row resolves to J's slot if J's tile is active, else to
 // the slot of its nearest active ancestor. So strips are never rewritten when the cut changes; and but for the numbers
 // of its slots the matrix is a function of the cut alone.
 #pragma once
@@ -52,10 +53,11 @@ struct LocalMatrix {
   std::vector<Vec4> albedo;      // rgb and 0
   std::vector<float> area_m2;
   std::vector<uint8_t> leaf;
-  std::vector<uint32_t> parent_slot;  // kNoSlot at the top level
+  std::vector<uint32_t> parent_slot;  // kNoSlot at the top level, and of nodes that stand alone
   // Per slot with a parent: the next child of that, in ascending order; of the last one, the first. So the last is known by its next
   // not being behind it.
   std::vector<uint32_t> next_sibling;
+  std::vector<float> child_weight;    // per slot with a parent: its area over that of the parent's children; equal where none has any
   std::vector<uint32_t> entries;      // with gaps between rows
   std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
@@ -87,8 +89,8 @@ struct LocalMatrix {
   uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
 };
 
-// weights[c] of each slot with a parent: its area over that of the parent's children; equal where none has any. weights: per slot.
-void weighChildren(const LocalMatrix& matrix, std::span<float> weights);
+// Fills in child_weight, from everything else.
+void weighChildren(LocalMatrix& matrix);
 
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {

@@ -74,6 +74,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
       runs_(entryCapacity(world)) {
   tiles_.reserve(kTilesAtFirst);
   next_tiles_.reserve(kTilesAtFirst);
+  kept_.reserve(kTilesAtFirst);
   partner_pages_.reserve(entryCapacity(world) / kEntriesAPartner);
   run_entries_.reserve(entryCapacity(world));
   columns_.reserve(kTilesAtFirst);
@@ -96,6 +97,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   m.area_m2.reserve(kMaxSlots);
   m.albedo.reserve(kMaxSlots);
   m.leaf.reserve(kMaxSlots);
+  m.child_weight.reserve(kMaxSlots);
   renumber();
   listLeavesAndRefined();
 }
@@ -104,23 +106,19 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
   const bool pyramid = far_light_ == FarLight::kPyramid;
   const auto top = static_cast<uint32_t>(world_.levels().size() - 1);
   uint64_t slots = pyramid ? 0 : 1, tops = 0;
-  bool cut = true;
   for (const StripPtr& strip : active) {
     if (!pyramid && strip->id.level != 0) continue;
     slots += strip->nodes.size();
     tops += strip->id.level == top;
-    if (!pyramid || strip->id.level == top) continue;
-    cut = cut && std::ranges::binary_search(active, formats::TileId{strip->id.level + 1, strip->tile.info().parent_tile}, {},
-                                            [](const StripPtr& s) { return s->id; });
   }
   if (slots > kMaxSlots)
     return Error{ErrorCode::kUsage, world_.path(), "",
                  std::to_string(slots) + " nodes in the cut, at most " + std::to_string(kMaxSlots) + " have a slot",
                  "lower the radius or max_nodes"};
-  if (pyramid && (!cut || tops != world_.levels()[top].tiles))
+  if (pyramid && tops != world_.levels()[top].tiles)
     return Error{ErrorCode::kUsage, world_.path(), "",
                  "the active tiles are not a cut: some node has no active ancestor",
-                 "pass all tiles of the top level and the ancestors of every active tile"};
+                 "pass all tiles of the top level"};
   return {};
 }
 
@@ -167,6 +165,26 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
   return {};
 }
 
+// A tile keeps its slots unless its parent tile comes or goes, or gets other slots itself.
+void MatrixAssembler::chooseKept(std::span<const StripPtr> active) {
+  kept_.assign(active.size(), 0);
+  size_t old = tiles_.size();
+  for (size_t i = active.size(); i-- > 0;) {  // parents first
+    const ResidentStrip& strip = *active[i];
+    while (old > 0 && strip.id < tiles_[old - 1].range.id) --old;
+    if (old == 0 || tiles_[old - 1].range.id != strip.id) continue;
+    const bool was_linked = tiles_[old - 1].linked;
+    if (far_light_ == FarLight::kConstant || strip.tile.chunk->isTop()) {
+      kept_[i] = 1;
+      continue;
+    }
+    const formats::TileId parent{strip.id.level + 1, strip.tile.info().parent_tile};
+    const auto above = std::ranges::lower_bound(active, parent, {}, [](const StripPtr& s) { return s->id; });
+    const bool linked = above != active.end() && (*above)->id == parent;
+    kept_[i] = linked == was_linked && (!linked || kept_[static_cast<size_t>(above - active.begin())]);
+  }
+}
+
 // Drops the tiles that left; tiles_ then holds the new cut, entered tiles without slots.
 void MatrixAssembler::diff(std::span<const StripPtr> active) {
   next_tiles_.clear();
@@ -174,12 +192,17 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
   const auto dropUpTo = [&](const formats::TileId* id) {
     for (; old < tiles_.size() && (!id || tiles_[old].range.id < *id); ++old) drop(tiles_[old]);
   };
-  for (const StripPtr& strip : active) {
+  chooseKept(active);
+  for (size_t i = 0; i < active.size(); ++i) {
+    const StripPtr& strip = active[i];
     if (far_light_ == FarLight::kConstant && strip->id.level != 0) continue;
     dropUpTo(&strip->id);
     if (old < tiles_.size() && tiles_[old].range.id == strip->id) {
-      next_tiles_.push_back(std::move(tiles_[old++]));
-      continue;
+      if (kept_[i]) {
+        next_tiles_.push_back(std::move(tiles_[old++]));
+        continue;
+      }
+      drop(tiles_[old++]);
     }
     Tile tile;
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
@@ -319,10 +342,12 @@ void MatrixAssembler::renumber() {
 }
 
 // Parents become refined. Entered tiles are linked from the top down.
-void MatrixAssembler::link(const Tile& tile) {
-  if (far_light_ == FarLight::kConstant || tile.range.id.level + 1 == world_.levels().size()) return;
+void MatrixAssembler::link(Tile& tile) {
   const uint32_t level = tile.range.id.level;
-  const uint32_t first_parent = pages_.activeSlot({level + 1, tile.strip->tile.info().parent_tile});
+  const uint32_t first_parent =
+      far_light_ == FarLight::kConstant || tile.strip->tile.chunk->isTop() ? kNoSlot : pages_.activeSlot({level + 1, tile.strip->tile.info().parent_tile});
+  tile.linked = first_parent != kNoSlot;
+  if (!tile.linked) return;
   const std::span<const uint8_t> parent = tile.strip->tile.parentIndex();
   std::array<uint32_t, formats::kTileNodes> last;  // child of each parent so far
   last.fill(kNoSlot);
@@ -444,6 +469,7 @@ void MatrixAssembler::listLeavesAndRefined() {
   }
   if (m.ambient_slot != kNoSlot) m.leaves.push_back(m.ambient_slot);
   m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
+  weighChildren(m);
 }
 
 Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<const StripPtr> active,
@@ -453,7 +479,8 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<cons
   return std::move(assembler).take();
 }
 
-void weighChildren(const LocalMatrix& m, std::span<float> weights) {
+void weighChildren(LocalMatrix& m) {
+  m.child_weight.resize(m.slots());
   for (const LocalMatrix::Refined& refined : m.refined) {
     double total = 0;
     uint32_t children = 0;
@@ -462,7 +489,7 @@ void weighChildren(const LocalMatrix& m, std::span<float> weights) {
       ++children;
     });
     m.forEachChild(refined, [&](uint32_t c) {
-      weights[c] = total > 0 ? static_cast<float>(static_cast<double>(m.area_m2[c]) / total) : 1.0f / static_cast<float>(children);
+      m.child_weight[c] = total > 0 ? static_cast<float>(static_cast<double>(m.area_m2[c]) / total) : 1.0f / static_cast<float>(children);
     });
   }
 }

@@ -4,6 +4,7 @@
 #pragma once
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
@@ -20,9 +21,12 @@ class MatrixAssembler {
   MatrixAssembler& operator=(const MatrixAssembler&) = delete;
 
   // Brings the matrix to the cut `active` (sorted, as Streamer::active()) and holds its strips. The same cut again
-  // changes nothing. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile or the
-  // ancestors of an active tile are missing).
+  // changes nothing. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
+  // missing). A tile without its parent tile stands alone (local_matrix.h); where that comes or goes the tile enters anew.
   Result<void> update(std::span<const stream::StripPtr> active);
+
+  // Gives the matrix away for another, and takes it back likewise: in between the assembler is not used. Allocates nothing.
+  void swap(LocalMatrix& matrix) { std::swap(matrix_, matrix); }
 
   // For tests: the next update() gives slots out anew.
   void renumberNext() { renumber_next_ = true; }
@@ -45,19 +49,20 @@ class MatrixAssembler {
     stream::StripPtr strip;
     uint64_t first_entry = 0, room = 0;  // in LocalMatrix::entries
     uint64_t first_partner = 0, first_run = 0;  // in partner_pages_ and run_entries_
-    bool entered = false, placed = false;
+    bool entered = false, placed = false, linked = false;  // linked: its parent tile is active, too
   };
   std::span<uint32_t> partnerPages(const Tile& tile) {
     return std::span(partner_pages_).subspan(tile.first_partner, tile.strip->partners.size());
   }
   Result<void> check(std::span<const stream::StripPtr> active) const;
+  void chooseKept(std::span<const stream::StripPtr> active);
   void diff(std::span<const stream::StripPtr> active);
   void drop(Tile& tile);
   bool place(Tile& tile);
   bool reserveRanges(Tile& tile);
   void releaseRanges(Tile& tile);
   void renumber();
-  void link(const Tile& tile);
+  void link(Tile& tile);
   void makeLeaf(uint32_t slot);
   uint32_t resolveRuns(const Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out);
   void resolveRow(Tile& tile, uint32_t row);
@@ -74,6 +79,7 @@ class MatrixAssembler {
   PageTable pages_;
   RangeAllocator slots_, entries_, partners_, runs_;
   std::vector<Tile> tiles_, next_tiles_;
+  std::vector<uint8_t> kept_;            // by number in `active`: the tile was there, and so were the tiles above it
   std::vector<uint32_t> partner_pages_;  // of a tile: by index in strip->partners
   std::vector<uint16_t> run_entries_;    // of a tile: by run, entries that it takes in its row
   std::vector<uint32_t> new_leaves_;  // slots

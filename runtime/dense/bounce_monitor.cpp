@@ -46,7 +46,7 @@ void BounceMonitor::judge(const LocalMatrix& matrix, const CutPlaces& places, Sp
   for (auto* per_slot : {&work_, &minus_, &residual_}) per_slot->assign(matrix.slots(), {});
   // F x, then F (x + C y) - y.
   for (size_t i = 0; i < drawn_.size(); ++i) work_[places.slotOf(drawn_[i])] = x_[i];
-  rows.refine(places.blocks(), work_);
+  rows.refine(work_);
   rows.gather(sampled_, work_, minus_, residual_);
   for (const uint32_t s : sampled_) {
     norm_ += squared(residual_[s]);
@@ -60,7 +60,7 @@ void BounceMonitor::judge(const LocalMatrix& matrix, const CutPlaces& places, Sp
     Vec4& w = work_[slots[p]];
     w = {w.x + rho.x * e.x, w.y + rho.y * e.y, w.z + rho.z * e.z, 0};
   }
-  rows.refine(places.blocks(), work_);
+  rows.refine(work_);
   rows.gather(sampled_, work_, minus_, residual_);
   for (const uint32_t s : sampled_) left_ += squared(residual_[s]);
   if (++frame_ < kFrames) return;

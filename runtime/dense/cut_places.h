@@ -41,7 +41,6 @@ class CutPlaces {
   uint32_t taken() const { return taken_; }
   // Leaves without a place that were not refused.
   uint32_t waiting() const { return waiting_; }
-  const EnteringBlocks& blocks() const { return blocks_; }
 
  private:
   void leave(uint32_t slot);

@@ -165,8 +165,8 @@ class Dense final : public DenseSolver {
       radiosity_[s] = source_[s];
       ++repaired_;
     }
-    rows_.refine(places_.blocks(), radiosity_);
-    rows_.refine(places_.blocks(), irradiance_);  // for slots that become leaves when their children leave
+    rows_.refine(radiosity_);
+    rows_.refine(irradiance_);  // for slots that become leaves when their children leave
   }
 
   // E = G M of what is on places; how many values of it were no light and are 0.

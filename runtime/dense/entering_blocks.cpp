@@ -7,7 +7,6 @@ constexpr uint32_t kNone = 0xffffffffu;
 
 EnteringBlocks::EnteringBlocks() {
   for (auto* per_slot : {&refined_of_, &number_}) per_slot->reserve(kMaxSlots);
-  child_weight_.reserve(kMaxSlots);
   leads_.reserve(kMaxSlots);
   sum_.reserve(kMaxSlots);
   for (auto* list : {&met_, &entering_, &row_start_, &column_start_}) list->reserve(kMaxSlots + 1);
@@ -25,13 +24,11 @@ EnteringBlocks::EnteringBlocks() {
 void EnteringBlocks::takeUp(const LocalMatrix& matrix) {
   matrix_ = &matrix;
   const uint32_t slots = matrix.slots();
-  child_weight_.assign(slots, 0);
   refined_of_.assign(slots, kNone);
   number_.assign(slots, kNone);
   leads_.assign(slots, 0);
   sum_.assign(slots, 0);
   for (uint32_t r = 0; r < matrix.refined.size(); ++r) refined_of_[matrix.refined[r].slot] = r;
-  weighChildren(matrix, child_weight_);
 }
 
 void EnteringBlocks::spread(uint32_t slot, float value, bool all) {
@@ -42,7 +39,7 @@ void EnteringBlocks::spread(uint32_t slot, float value, bool all) {
     sum_[slot] += value;
     return;
   }
-  matrix_->forEachChild(matrix_->refined[refined_of_[slot]], [&](uint32_t c) { spread(c, value * child_weight_[c], all); });
+  matrix_->forEachChild(matrix_->refined[refined_of_[slot]], [&](uint32_t c) { spread(c, value * matrix_->child_weight[c], all); });
 }
 
 void EnteringBlocks::collect(std::span<const uint32_t> entering, std::span<const uint32_t> place_of_slot) {

@@ -29,9 +29,6 @@ class EnteringBlocks {
   // lives until the next call.
   EnteringBlock block(uint32_t first, uint32_t count, std::span<const uint32_t> place_of_slot);
 
-  // Per slot: area over that of its parent's children. For slots that have a parent.
-  std::span<const float> childWeights() const { return child_weight_; }
-
  private:
   struct Entry {
     uint32_t slot;
@@ -41,7 +38,6 @@ class EnteringBlocks {
 
   const LocalMatrix* matrix_ = nullptr;
   std::span<const uint32_t> place_of_slot_;
-  std::vector<float> child_weight_;
   std::vector<uint32_t> refined_of_;  // per slot: number in matrix.refined, or none
   std::vector<uint32_t> entering_;    // slots
   std::vector<uint32_t> number_;      // per slot: in entering_, or none

@@ -38,8 +38,8 @@ void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> 
             [&](uint32_t part) { (void)kernel_(job, part * kPartLeaves, std::min((part + 1) * kPartLeaves, count)); });
 }
 
-void SparseRows::refine(const EnteringBlocks& blocks, std::span<Vec4> values) const {
-  refineSlots(*matrix_, blocks.childWeights().data(), values.data(), 0, static_cast<uint32_t>(matrix_->refined.size()));
+void SparseRows::refine(std::span<Vec4> values) const {
+  refineSlots(*matrix_, values.data(), 0, static_cast<uint32_t>(matrix_->refined.size()));
 }
 
 }  // namespace ff::runtime

@@ -23,8 +23,8 @@ class SparseRows {
   void takeUp(const LocalMatrix& matrix);
   // to[s] = F from - minus, for the leaves listed. All per slot; refined slots of `from` are the means of their children.
   void gather(std::span<const uint32_t> leaves, std::span<const Vec4> from, std::span<const Vec4> minus, std::span<Vec4> to);
-  // Refined slots: the mean of their children. blocks: of the same matrix.
-  void refine(const EnteringBlocks& blocks, std::span<Vec4> values) const;
+  // Refined slots: the mean of their children.
+  void refine(std::span<Vec4> values) const;
 
  private:
   WorkerPool pool_;

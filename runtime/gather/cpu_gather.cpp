@@ -23,7 +23,6 @@ class CpuGather final : public Solver {
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
-    child_weight_.reserve(kMaxSlots);
     parts_.reserve(kMaxSlots + 1);
   }
 
@@ -37,7 +36,6 @@ class CpuGather final : public Solver {
         for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
     }
     for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
-    child_weight_.resize(matrix.slots());
     if (all) {
       for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
     } else {
@@ -51,7 +49,6 @@ class CpuGather final : public Solver {
       }
     }
     divideRows();
-    weighChildren(*matrix_, child_weight_);
     pace_.forget();
     return {};
   }
@@ -187,7 +184,7 @@ class CpuGather final : public Solver {
       const uint32_t first = starts[level], end = starts[level + 1];
       const uint32_t parts = (end - first + kPartRefined - 1) / kPartRefined;
       pool_.run(parts, [&](uint32_t part) {
-        refineSlots(*matrix_, child_weight_.data(), to_.data(), first + part * kPartRefined,
+        refineSlots(*matrix_, to_.data(), first + part * kPartRefined,
                     std::min(end, first + (part + 1) * kPartRefined));
       });
     }
@@ -198,7 +195,6 @@ class CpuGather final : public Solver {
   const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> reflectance_, source_, from_, to_;
   std::vector<Vec4> before_;  // of two steps ago, in approach()
-  std::vector<float> child_weight_;  // per slot: its area over its parent's children's
   std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
   SemiIteration pace_;
   uint64_t repaired_ = 0;

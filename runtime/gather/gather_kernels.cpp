@@ -38,10 +38,10 @@ bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
   return sound;
 }
 
-void refineSlots(const LocalMatrix& matrix, const float* child_weight, Vec4* values, uint32_t begin, uint32_t end) {
+void refineSlots(const LocalMatrix& matrix, Vec4* values, uint32_t begin, uint32_t end) {
   for (uint32_t r = begin; r < end; ++r) {
     Float4 mean{};
-    matrix.forEachChild(matrix.refined[r], [&](uint32_t c) { mean += asFloat4(values[c]) * child_weight[c]; });
+    matrix.forEachChild(matrix.refined[r], [&](uint32_t c) { mean += asFloat4(values[c]) * matrix.child_weight[c]; });
     reinterpret_cast<Float4&>(values[matrix.refined[r].slot]) = mean;
   }
 }

@@ -26,7 +26,7 @@ using GatherKernel = bool (*)(const GatherJob& job, uint32_t begin, uint32_t end
 
 // values[refined[r].slot] = sum of child_weight * values over its children, for r in [begin, end). No slot of the range
 // is another's child.
-void refineSlots(const LocalMatrix& matrix, const float* child_weight, Vec4* values, uint32_t begin, uint32_t end);
+void refineSlots(const LocalMatrix& matrix, Vec4* values, uint32_t begin, uint32_t end);
 
 bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end);
 // Null where this build or this processor has no AVX2 and FMA.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <functional>
 #include <string>
 
 #include "shaders/shared.h"
@@ -28,7 +29,7 @@ void GatherLayout::forget() {
   for (RangeAllocator& segment : segments_) segment.reset();
 }
 
-Result<void> GatherLayout::update(const LocalMatrix& matrix, bool afresh) {
+Result<void> GatherLayout::update(const LocalMatrix& matrix, const MatrixChange& change, bool afresh) {
   const bool by_hand = !matrix.pages;
   if (by_hand) packByHand(matrix);
   if (afresh || by_hand) {
@@ -45,11 +46,12 @@ Result<void> GatherLayout::update(const LocalMatrix& matrix, bool afresh) {
                  "raise the capacity",
                  ErrorCause::kOutOfDeviceMemory};
   }
-  // Both lists are sorted: those that left give their room back first.
+  // Both lists are sorted: those that left give their room back first. A tile may leave and enter at once.
+  const auto stayed = [&](size_t tile) { return !std::ranges::binary_search(change.entered, static_cast<uint32_t>(tile), std::greater{}); };
   size_t next = 0;
   for (Tile& old : tiles_) {
     while (next < next_tiles_.size() && next_tiles_[next].range.id < old.range.id) ++next;
-    if (next < next_tiles_.size() && next_tiles_[next].range.id == old.range.id) {
+    if (next < next_tiles_.size() && next_tiles_[next].range.id == old.range.id && stayed(next)) {
       Tile& same = next_tiles_[next];
       const Tile fresh = same;
       same = old;

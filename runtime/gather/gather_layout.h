@@ -36,7 +36,7 @@ class GatherLayout {
   // Follows the matrix. afresh: nothing is known of the tiles before. Where room is fragmented all tiles are placed anew.
   // A matrix made by hand is packed here (256 slots a tile, pages in the order of slots), which allocates.
   // Errors (kOutOfDeviceMemory): no room; tiles() is then empty.
-  Result<void> update(const LocalMatrix& matrix, bool afresh);
+  Result<void> update(const LocalMatrix& matrix, const MatrixChange& change, bool afresh);
   // In the order of LocalMatrix::tiles; an ambient slot's comes last.
   std::span<const Tile> tiles() const { return tiles_; }
   // Writes tile.packed_words words.

@@ -330,7 +330,7 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
   FF_CHECK_LT(0u, m.slots());
   if (m.slots() > settings_.slots)
     return tooSmall(std::to_string(m.slots()) + " slots, room was made for " + std::to_string(settings_.slots));
-  if (auto r = layout_.update(m, all); !r) return r;
+  if (auto r = layout_.update(m, change, all); !r) return r;
   if (auto r = stagePages(m, change, all); !r) return r;
   for (const GatherLayout::Tile& tile : layout_.tiles())
     if (tile.placed)

@@ -15,7 +15,7 @@ class Solver {
   virtual ~Solver() = default;
   // Takes up a change of the matrix, which is the caller's, stays where it is and outlives the solver; called after
   // each change of it. (The first call takes up the whole matrix.) Slots that stay keep their radiosity, nodes of tiles
-  // that entered start from their parents' (top-level ones from zero); after change.renumbered all starts from zero.
+  // that entered start from their parents' (those without one in the cut from zero); after change.renumbered all starts from zero.
   virtual Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) = 0;
   // M per slot, W/m2. What is no sound light (sound_light.h) counts as 0. Refined and free slots' values are ignored.
   virtual Result<void> setSource(std::span<const Vec4> source) = 0;

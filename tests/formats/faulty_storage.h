@@ -14,6 +14,7 @@ class FaultyStorage final : public Storage {
   std::atomic<uint64_t> calls = 0;
   uint64_t fail_at = ~uint64_t{0};  // number of the call
   bool for_ever = false;            // and all that follow
+  std::atomic<bool> outage = false; // all calls fail while it lasts
   bool folders_can_sync = true;
   std::function<void()> on_read{};  // with every piece that is read: to take its time, for one
 
@@ -98,7 +99,7 @@ class FaultyStorage final : public Storage {
 
   bool fails() {
     const uint64_t call = calls++;
-    return for_ever ? call >= fail_at : call == fail_at;
+    return outage || (for_ever ? call >= fail_at : call == fail_at);
   }
   static Error fault(const std::string& path, const std::string& place = "") {
     return {ErrorCode::kIo, path, place, "a fault that a test wants", ""};

@@ -44,8 +44,9 @@ class TestWorld {
   }
   uint32_t top() const { return static_cast<uint32_t>(world_->levels().size() - 1); }
 
-  // Every tile whose chance comes up and whose parents' tiles are in; the top level always. chance 1: everything.
-  Cut randomCut(double chance, uint64_t seed) const {
+  // Every tile whose chance comes up and whose parents' tiles are in; the top level always. chance 1: everything. orphans: also where parents' tiles
+  // are not in, as where these cannot be read.
+  Cut randomCut(double chance, uint64_t seed, bool orphans = false) const {
     std::mt19937_64 random(seed);
     std::set<formats::TileId> in;
     for (uint32_t level = top() + 1; level-- > 0;)
@@ -56,7 +57,7 @@ class TestWorld {
           parents = parents && in.count({level + 1, world_->tileOf(level + 1, parent)}) != 0;
         }
         const bool drawn = static_cast<double>(random() >> 11) < chance * 9007199254740992.0;
-        if (parents && (level == top() || drawn)) in.insert(info.id);
+        if ((parents || orphans) && (level == top() || drawn)) in.insert(info.id);
       }
     Cut cut;
     for (const formats::TileId id : in) cut.push_back(packed_.at(id));

@@ -3,7 +3,9 @@
 #include <cmath>
 
 #include "runtime/full_solve.h"
+#include "tests/formats/faulty_storage.h"
 #include "tests/runtime/test_world.h"
+#include "tests/stream/test_sources.h"
 
 namespace ff::runtime {
 namespace {
@@ -18,8 +20,8 @@ Vec3 directAt(uint32_t level, uint32_t node) {
 }
 
 struct Walker {
-  explicit Walker(const TestWorld& test, stream::StreamSettings settings = {.radius_m = 8, .hysteresis = 1.0f})
-      : streamer(std::move(*stream::Streamer::create(test.world(), settings))),
+  explicit Walker(const TestWorld& test, stream::StreamSettings settings = {.radius_m = 8, .hysteresis = 1.0f}, std::unique_ptr<stream::TileSource> source = nullptr)
+      : streamer(std::move(*stream::Streamer::create(test.world(), settings, std::move(source)))),
         solver(makeCpuGather(2)),
         updater(test.world(), *streamer, *solver) {
     EXPECT_TRUE(updater.setSky(kSky));
@@ -238,6 +240,143 @@ TEST(Updater, ConvergedRadiosityDependsOnTheObserverAloneNotOnThePath) {
   }
   // Each stops when a change is below 1e-7 of the largest; albedo <= 0.9 leaves at most 9 such changes to come.
   EXPECT_LE(difference, 2 * 9 * 1e-7f * largest + 1e-6f * largest);
+}
+
+// Of every node of the cut, from its row and its light to the bits that twenty steps from darkness come to.
+std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> stateOf(Updater& updater, Solver& solver) {
+  const LocalMatrix& m = updater.matrix();
+  std::vector<Vec4> radiosity(m.slots());
+  EXPECT_TRUE(solver.setRadiosity(radiosity));
+  EXPECT_TRUE(solver.iterate(20));
+  EXPECT_TRUE(solver.radiosity(radiosity));
+  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> state;
+  for (const SlotRange& range : m.tiles)
+    for (uint32_t i = 0; i < range.nodes; ++i) {
+      const uint32_t slot = range.first_slot + i;
+      const Vec4 b = radiosity[slot], s = updater.source()[slot], e = updater.emission()[slot];
+      state[{range.id.level, range.first_node + i}] = {b.x, b.y, b.z, s.x, s.y, s.z, e.x, e.y, e.z, static_cast<float>(m.leaf[slot]), static_cast<float>(m.row(slot).size())};
+    }
+  return state;
+}
+
+TEST(Updater, OnceAFaultHasPassedTheStateIsThatOfAWorldWithoutIt) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  const Vec3 first{8, 1, 8}, at{50, 1, 40};
+  std::map<formats::TileId, std::vector<std::byte>> bytes;
+  for (uint32_t level = 0; level <= test.top(); ++level)
+    for (const formats::TileInfo& info : test.world().tiles(level)) {
+      bytes[info.id].resize(info.strip.stored_bytes);
+      ASSERT_TRUE(test.world().readStored(info.strip, bytes[info.id]));
+    }
+  const stream::StreamSettings settings{.radius_m = 8, .hysteresis = 1.0f, .retry_seconds = 0.02f};
+  const auto come = [&](Walker& walker) {  // teleports to `at` and stays
+    for (const Vec3 place : {first, at, at}) {
+      EXPECT_TRUE(walker.updater.frame(place, {}, 1));
+      EXPECT_TRUE(walker.streamer->settle());
+    }
+    EXPECT_TRUE(walker.updater.frame(at, {}, 1));
+  };
+  Walker sound(test, settings);
+  come(sound);
+  const auto expected = stateOf(sound.updater, *sound.solver);
+  const size_t tiles = sound.updater.matrix().tiles.size();
+
+  // Half of the reads fail; all do; those of a level do, so that what lies below stands alone.
+  for (const int fault : {0, 1, 2, 3}) {
+    std::atomic<bool> broken{false};
+    const auto fate = [&](formats::TileId id, int attempt) {
+      const bool fails = fault == 0 ? (id.tile * 7 + id.level + static_cast<uint32_t>(attempt) / 2) % 2 == 0 : fault == 1 || id.level + 1 == static_cast<uint32_t>(fault);
+      return broken && fails ? stream::Fate::kReadError : stream::Fate::kGood;
+    };
+    auto source = std::make_unique<stream::MemorySource>(bytes, 1, fate);
+    Walker walker(test, settings, std::move(source));
+    ASSERT_TRUE(walker.updater.frame(first, {}, 1));
+    ASSERT_TRUE(walker.streamer->settle());
+    broken = true;
+    come(walker);
+    EXPECT_GT(walker.streamer->stats().failed, 0u);
+    const auto during = walker.reflected();
+    for (const uint32_t slot : walker.updater.matrix().leaves) ASSERT_TRUE(std::isfinite(during[slot].y));
+    EXPECT_LT(walker.updater.matrix().tiles.size(), tiles);
+    if (fault == 2) {
+      EXPECT_EQ(walker.updater.matrix().tiles.front().id.level, 0u) << "patches below clusters that failed";
+    }
+    broken = false;
+    for (int tries = 0; tries < 1000 && walker.updater.matrix().tiles.size() != tiles; ++tries) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      ASSERT_TRUE(walker.streamer->settle());
+      ASSERT_TRUE(walker.updater.frame(at, {}, 1));
+    }
+    EXPECT_EQ(stateOf(walker.updater, *walker.solver), expected) << "fault " << fault;
+    EXPECT_EQ(walker.streamer->stats().late_tiles, 0u);
+  }
+}
+
+TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  const auto disk = std::make_shared<formats::FaultyStorage>(formats::posixStorage());
+  const auto world = formats::World::open(test.world().path(), disk);  // its index goes with it
+  ASSERT_TRUE(world) << world.error().line();
+  const stream::StreamSettings settings{.radius_m = 8, .hysteresis = 1.0f, .retry_seconds = 0.02f};
+  const Vec3 first{8, 1, 8}, at{50, 1, 40};
+  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  size_t tiles = 0;
+  for (const bool outage : {false, true}) {
+    const auto streamer = std::move(*stream::Streamer::create(*world, settings));
+    const auto solver = makeCpuGather(1);
+    Updater updater(*world, *streamer, *solver);
+    ASSERT_TRUE(updater.setSky(kSky));
+    ASSERT_TRUE(updater.frame(first, {}, 1));
+    ASSERT_TRUE(streamer->settle());
+    disk->outage = outage;
+    ASSERT_TRUE(updater.frame(at, {}, 1));
+    ASSERT_TRUE(streamer->settle());
+    ASSERT_TRUE(updater.frame(at, {}, 1));
+    if (outage) {
+      EXPECT_LT(updater.matrix().tiles.size(), tiles);
+      EXPECT_NE(streamer->lastFailure(), "");
+    }
+    disk->outage = false;
+    for (int tries = 0; outage && tries < 1000 && updater.matrix().tiles.size() != tiles; ++tries) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      ASSERT_TRUE(streamer->settle());
+      ASSERT_TRUE(updater.frame(at, {}, 1));
+    }
+    tiles = updater.matrix().tiles.size();
+    states[outage] = stateOf(updater, *solver);
+  }
+  EXPECT_EQ(states[0], states[1]);
+}
+
+// A flight with the matrix put together in the background, then a frame that waits for it: the state is that of a flight within frames. In between every frame
+// has a whole cut, and light that is finite.
+TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  for (const bool background : {false, true}) {
+    const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
+    const auto solver = makeCpuGather(1);
+    Updater updater(test.world(), *streamer, *solver, FarLight::kPyramid, background);
+    ASSERT_TRUE(updater.setSky(kSky));
+    int changes = 0;
+    for (float x = 5; x < 58; x += 0.25f) {
+      const auto stats = updater.frame({x, 1, 30}, {15, 0, 0}, 2);
+      ASSERT_TRUE(stats) << stats.error().line();
+      changes += stats->matrix_changed;
+      std::this_thread::sleep_for(std::chrono::microseconds(500));
+      ASSERT_EQ(updater.source().size(), updater.matrix().slots());
+      std::vector<Vec4> light(updater.matrix().slots());
+      ASSERT_TRUE(updater.reflected(light));
+      for (const uint32_t slot : updater.matrix().leaves) ASSERT_TRUE(std::isfinite(light[slot].x) && light[slot].x >= 0);
+    }
+    EXPECT_GT(changes, 10);
+    streamer->update({58, 1, 30}, {});
+    ASSERT_TRUE(streamer->settle());
+    updater.awaitCut();
+    ASSERT_TRUE(updater.frame({58, 1, 30}, {}, 1));
+    states[background] = stateOf(updater, *solver);
+  }
+  EXPECT_EQ(states[0], states[1]);
 }
 
 TEST(Updater, LightSettlesWhateverTilesThatLeftHadInTheirSlots) {

@@ -2,6 +2,10 @@
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -210,6 +214,37 @@ TEST(UringSource, ReadsItselfOnceTheKernelRefusesItsRing) {
     ASSERT_TRUE(bytes) << bytes.error().line();
     EXPECT_TRUE(opened.world->decodeStrip(opened.world->ref(id), *bytes, strip));
   }
+}
+
+// From now on the kernel answers every io_uring_enter of this process with an error. False: it does not let us.
+bool refuseUringEnter(uint32_t error) {
+  sock_filter filter[] = {BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, nr)), BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_io_uring_enter, 0, 1),
+                          BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | error), BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW)};
+  const sock_fprog program{4, filter};
+  return ::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 && ::syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC, &program) == 0;
+}
+
+TEST(UringSource, WhateverErrorTheKernelHasForItsRingTheStripsCome) {
+  testing::FLAGS_gtest_death_test_style = "threadsafe";
+  const auto readAll = [](uint32_t error) {
+    constexpr int kGood = 0, kSkipped = 3;
+    const Opened opened;
+    auto source = makeUringSource(*opened.world);
+    Collector collector;
+    if (!source) std::_Exit(kSkipped);
+    readTile(**source, opened.world->tiles(0)[0], {}, collector.callback());
+    collector.await(1);
+    if (!refuseUringEnter(error)) std::_Exit(kSkipped);
+    size_t asked = 1;
+    for (const formats::TileInfo& info : opened.world->tiles(0)) readTile(**source, info, {}, collector.callback()), ++asked;
+    collector.await(asked);
+    for (const auto& [id, bytes] : collector.arrived)
+      if (!bytes) std::cerr << bytes.error().line() << "\n", std::_Exit(1);
+    source->reset();  // ends, too
+    std::_Exit(kGood);
+  };
+  for (const uint32_t error : {EAGAIN, EBUSY, ENOMEM, EPERM, EBADF})
+    EXPECT_EXIT(readAll(error), [](int status) { return WIFEXITED(status) && (WEXITSTATUS(status) == 0 || WEXITSTATUS(status) == 3); }, "") << error;
 }
 
 INSTANTIATE_TEST_SUITE_P(Both, FileSource, testing::Values("io_uring", "threads"),

@@ -28,6 +28,7 @@ inline void finishByHand(LocalMatrix& m) {
       m.parent_slot[c] = r.slot;
       m.next_sibling[c] = c < r.last_child ? c + 1 : r.first_child;
     }
+  weighChildren(m);
 }
 
 // A new matrix to a solver, and radiosity to start from (empty: zero).

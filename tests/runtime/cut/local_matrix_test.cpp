@@ -28,7 +28,7 @@ LocalMatrix build(const TestWorld& test, const Cut& cut, FarLight far_light = Fa
 TEST(PageTable, ResolvesEveryNodeOfEveryTileAsAWalkUpTheParentsDoes) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 3});
   for (uint64_t seed = 1; seed <= 4; ++seed) {
-    const LocalMatrix matrix = build(test, test.randomCut(0.6, seed));
+    const LocalMatrix matrix = build(test, test.randomCut(0.6, seed, seed % 2 == 0));
     PageTable pages(test.world());
     for (const SlotRange& range : matrix.tiles) pages.setActive(range.id, range.first_slot);
     for (uint32_t level = 0; level < test.world().levels().size(); ++level)
@@ -47,7 +47,7 @@ TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
   for (uint64_t seed = 1; seed <= 4; ++seed) {
     const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false, .seed = seed});
     for (const double chance : {0.0, 0.3, 0.7, 1.0}) {
-      const Cut cut = test.randomCut(chance, seed + 100);
+      const Cut cut = test.randomCut(chance, seed + 100, seed % 2 == 0);
       const LocalMatrix matrix = build(test, cut);
       uint64_t twice = 0;
       uint32_t slot = 0;
@@ -84,36 +84,38 @@ TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
 
 TEST(LocalMatrix, ANodeIsRefinedExactlyWhenItsChildrenAreActive) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 9});
-  const Cut cut = test.randomCut(0.6, 5);
-  const LocalMatrix matrix = build(test, cut);
-  std::map<uint32_t, std::vector<uint32_t>> refined;  // children of each
-  for (size_t l = 0; l + 1 < matrix.refined_level_start.size(); ++l)
-    for (uint32_t r = matrix.refined_level_start[l]; r < matrix.refined_level_start[l + 1]; ++r) {
-      const LocalMatrix::Refined& item = matrix.refined[r];
-      std::vector<uint32_t> children;
-      // They come from an earlier range, or are leaves.
-      matrix.forEachChild(item, [&](uint32_t c) {
-        ASSERT_TRUE(matrix.leaf[c] || refined.count(c) != 0);
-        children.push_back(c);
-      });
-      ASSERT_TRUE(refined.emplace(item.slot, children).second);
-    }
-  for (const SlotRange& range : matrix.tiles)
-    for (uint32_t i = 0; i < range.nodes; ++i) {
-      const uint32_t slot = range.first_slot + i, node = range.first_node + i;
-      bool children_active = false;
-      if (range.id.level > 0) {
+  for (const bool orphans : {false, true}) {
+    const Cut cut = test.randomCut(0.6, 5, orphans);
+    const LocalMatrix matrix = build(test, cut);
+    std::map<uint32_t, std::vector<uint32_t>> refined;  // children of each
+    for (size_t l = 0; l + 1 < matrix.refined_level_start.size(); ++l)
+      for (uint32_t r = matrix.refined_level_start[l]; r < matrix.refined_level_start[l + 1]; ++r) {
+        const LocalMatrix::Refined& item = matrix.refined[r];
         std::vector<uint32_t> children;
-        for (const uint32_t child : test.world().children(range.id.level, node)) children.push_back(matrix.slotOf(range.id.level - 1, child));
-        children_active = children[0] != kNoSlot;
-        if (children_active) {
-          ASSERT_EQ(refined.at(slot), children);
-        }
+        // They come from an earlier range, or are leaves.
+        matrix.forEachChild(item, [&](uint32_t c) {
+          ASSERT_TRUE(matrix.leaf[c] || refined.count(c) != 0);
+          children.push_back(c);
+        });
+        ASSERT_TRUE(refined.emplace(item.slot, children).second);
       }
-      ASSERT_EQ(matrix.leaf[slot] == 0, children_active);
-      ASSERT_EQ(refined.count(slot), children_active ? 1u : 0u);
-      ASSERT_EQ(matrix.slotOf(range.id.level, node), slot);
-    }
+    for (const SlotRange& range : matrix.tiles)
+      for (uint32_t i = 0; i < range.nodes; ++i) {
+        const uint32_t slot = range.first_slot + i, node = range.first_node + i;
+        bool children_active = false;
+        if (range.id.level > 0) {
+          std::vector<uint32_t> children;
+          for (const uint32_t child : test.world().children(range.id.level, node)) children.push_back(matrix.slotOf(range.id.level - 1, child));
+          children_active = children[0] != kNoSlot;
+          if (children_active) {
+            ASSERT_EQ(refined.at(slot), children);
+          }
+        }
+        ASSERT_EQ(matrix.leaf[slot] == 0, children_active);
+        ASSERT_EQ(refined.count(slot), children_active ? 1u : 0u);
+        ASSERT_EQ(matrix.slotOf(range.id.level, node), slot);
+      }
+  }
 }
 
 TEST(LocalMatrix, IsAFunctionOfTheCutAlone) {
@@ -155,7 +157,7 @@ TEST(LocalMatrix, ConstantFarLightSendsAllOtherColumnsToOneSlot) {
   EXPECT_TRUE(met);
 }
 
-TEST(LocalMatrix, RefusesTilesWithoutTheirAncestors) {
+TEST(LocalMatrix, RefusesACutWithoutAllOfTheTopLevel) {
   const TestWorld test({.side = 16, .tile_nodes = 12});
   Cut cut = test.randomCut(1, 1);
   cut.pop_back();  // a tile of the top level

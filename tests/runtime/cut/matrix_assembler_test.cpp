@@ -2,6 +2,7 @@
 
 #include <map>
 
+#include "runtime/cut/cut_builder.h"
 #include "runtime/solver/solver.h"
 #include "tests/runtime/test_world.h"
 
@@ -55,7 +56,7 @@ TEST(MatrixAssembler, AfterAnyWalkTheMatrixIsThatOfAFreshBuild) {
     std::mt19937_64 random(seed);
     for (int step = 0; step < 40; ++step) {
       const double chance = static_cast<double>(random() % 11) / 10;
-      const Cut cut = test.randomCut(chance, random());
+      const Cut cut = test.randomCut(chance, random(), step % 3 == 0);
       ASSERT_TRUE(walked.update(cut));
       MatrixAssembler fresh(test.world());
       ASSERT_TRUE(fresh.update(cut));
@@ -69,7 +70,7 @@ TEST(MatrixAssembler, ASlotKeepsItsNodeWhileItsTileIsActive) {
   MatrixAssembler assembler(test.world());
   std::map<formats::TileId, uint32_t> first_slot;
   for (uint64_t step = 0; step < 60; ++step) {
-    ASSERT_TRUE(assembler.update(test.randomCut(0.7, step)));
+    ASSERT_TRUE(assembler.update(test.randomCut(0.7, step, step % 3 == 0)));
     const MatrixChange& change = assembler.change();
     if (change.renumbered) first_slot.clear();
     for (const SlotRange& left : change.left) EXPECT_EQ(first_slot.erase(left.id), change.renumbered ? 0u : 1u);
@@ -98,7 +99,7 @@ TEST(MatrixAssembler, NamesEveryTileWhoseRowsChanged) {
   };
   int unnamed = 0;
   for (uint64_t step = 0; step < 60; ++step) {
-    ASSERT_TRUE(assembler.update(test.randomCut(0.8, step / 2 * 2 + step % 2)));
+    ASSERT_TRUE(assembler.update(test.randomCut(0.8, step / 2 * 2 + step % 2, step % 5 == 0)));
     const LocalMatrix& m = assembler.matrix();
     for (const uint32_t t : assembler.change().rows) rows[m.tiles[t].id] = rowsOf(m.tiles[t]);
     for (const SlotRange& range : m.tiles) {
@@ -172,6 +173,79 @@ TEST(MatrixAssembler, RadiosityHasTheSameBitsWhateverTheWalk) {
     ASSERT_EQ(b.x, radiosity[1].at(id).x);
     ASSERT_EQ(b.y, radiosity[1].at(id).y);
   }
+}
+
+// However often somebody looks in the meantime: matrix, slots and changes are those of one assembler that takes up the same cuts.
+TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 7});
+  CutBuilder builder(test.world(), FarLight::kPyramid, true);
+  MatrixAssembler reference(test.world());
+  const LocalMatrix* const where = &builder.matrix();
+  std::mt19937_64 random(8);
+  int taken = 0;
+  for (int step = 0; step < 60; ++step) {
+    const Cut asked = test.randomCut(static_cast<double>(random() % 11) / 10, random(), step % 4 == 0);
+    if (step % 7 == 6) {
+      builder.renumberNext();
+      reference.renumberNext();
+    }
+    const int more = static_cast<int>(random() % 3);
+    ASSERT_TRUE(builder.next(asked));
+    ASSERT_FALSE(builder.change().any) << "nothing was being built";
+    for (int k = 0; k < more; ++k) {  // looks again before, or after, it is there
+      if (random() % 2) builder.await();
+      ASSERT_TRUE(builder.next(asked));
+    }
+    builder.await();
+    ASSERT_TRUE(builder.next(asked));
+    ASSERT_TRUE(builder.holds(asked));
+    ASSERT_TRUE(reference.update(asked));
+    const LocalMatrix &m = builder.matrix(), &n = reference.matrix();
+    ASSERT_EQ(&m, where);
+    ASSERT_EQ(m.tiles.size(), n.tiles.size());
+    for (size_t t = 0; t < m.tiles.size(); ++t) {
+      ASSERT_EQ(m.tiles[t].id, n.tiles[t].id);
+      ASSERT_EQ(m.tiles[t].first_slot, n.tiles[t].first_slot);
+      ASSERT_EQ(&builder.strip(t), &reference.strip(t));
+    }
+    ASSERT_EQ(m.leaves, n.leaves);
+    ASSERT_EQ(m.child_weight, n.child_weight);
+    for (const uint32_t slot : m.leaves) ASSERT_TRUE(std::ranges::equal(m.row(slot), n.row(slot)));
+    if (more == 0) {  // else it was told by a call before
+      ++taken;
+      ASSERT_EQ(builder.change().entered, reference.change().entered);
+      ASSERT_EQ(builder.change().rows, reference.change().rows);
+      ASSERT_EQ(builder.change().renumbered, reference.change().renumbered);
+      ASSERT_EQ(builder.change().left.size(), reference.change().left.size());
+    }
+  }
+  EXPECT_GT(taken, 10);
+  EXPECT_GT(builder.latencySeconds(), 0);
+}
+
+TEST(CutBuilder, ARefusedCutLeavesTheMatrixAsItWasAndTheNextOneComes) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  CutBuilder builder(test.world(), FarLight::kPyramid, true);
+  const Cut cut = test.randomCut(0.6, 1), after = test.randomCut(0.9, 3);
+  Cut broken = test.randomCut(0.9, 2);
+  broken.pop_back();  // a tile of the top level
+  const auto follow = [&](const Cut& next) {
+    EXPECT_TRUE(builder.next(next));
+    builder.await();
+    return builder.next(next);
+  };
+  ASSERT_TRUE(follow(cut));
+  const auto refused = follow(broken);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUsage);
+  EXPECT_FALSE(builder.change().any);
+  MatrixAssembler fresh(test.world());
+  ASSERT_TRUE(fresh.update(cut));
+  expectSame(builder.matrix(), fresh.matrix());
+  ASSERT_TRUE(follow(after));
+  MatrixAssembler same(test.world());
+  ASSERT_TRUE(same.update(after));
+  expectSame(builder.matrix(), same.matrix());
 }
 
 }  // namespace

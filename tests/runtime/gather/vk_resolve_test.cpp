@@ -74,7 +74,7 @@ TEST_F(VkResolve, FindsTheAssemblersEntriesBitForBitThroughEveryChangeOfTheCut) 
     ASSERT_TRUE(solver);
     for (uint64_t step = 0; step < 8; ++step) {
       SCOPED_TRACE(step);
-      ASSERT_TRUE(assembler.update(test.randomCut(step % 4 == 3 ? 0.0 : 0.6, step)));
+      ASSERT_TRUE(assembler.update(test.randomCut(step % 4 == 3 ? 0.0 : 0.6, step, step % 3 == 1)));
       const auto updated = solver->update(assembler.matrix(), assembler.change());
       ASSERT_TRUE(updated) << updated.error().line();
       expectSameRows(*solver, assembler.matrix());
@@ -90,7 +90,7 @@ TEST_F(VkResolve, CarriesLightOverEveryChangeAsTheCpuDoes) {
   const auto cpu = makeCpuGather(1);
   for (uint64_t step = 0; step < 12; ++step) {
     SCOPED_TRACE(step);
-    ASSERT_TRUE(assembler.update(test.randomCut(step % 5 == 4 ? 1.0 : 0.5, step)));
+    ASSERT_TRUE(assembler.update(test.randomCut(step % 5 == 4 ? 1.0 : 0.5, step, step % 3 == 1)));
     const LocalMatrix& m = assembler.matrix();
     const auto source = lightOf(m, step);
     for (Solver* s : {static_cast<Solver*>(vulkan.get()), cpu.get()}) {
@@ -172,7 +172,7 @@ TEST_F(VkResolve, SurvivesFragmentedRoomAndSeveralSegments) {
       ASSERT_TRUE(vulkan->radiosity(a) && cpu->radiosity(b));
       expectSameLight(a, b, m);
       if (step % 4 == 1) expectSameRows(*vulkan, m);
-      ASSERT_TRUE(layout.update(m, step == 0));
+      ASSERT_TRUE(layout.update(m, assembler.change(), step == 0));
       placed_anew += std::any_of(layout.tiles().begin(), layout.tiles().end(),
                                  [](const GatherLayout::Tile& t) { return t.placed && !t.entered; });
     }

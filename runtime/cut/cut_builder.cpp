@@ -1,0 +1,93 @@
+#include "runtime/cut/cut_builder.h"
+
+#include <algorithm>
+#include <new>
+#include <system_error>
+#include <utility>
+
+namespace ff::runtime {
+
+CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background) : front_(std::make_unique<MatrixAssembler>(world, far_light)) {
+  if (!background) return;
+  back_ = std::make_unique<MatrixAssembler>(world, far_light);
+  for (auto* cut : {&cut_, &next_cut_}) cut->reserve(kMaxSlots / 16);
+  front_->swap(shown_);
+  try {
+    thread_ = std::thread([this] { work(); });
+  } catch (const std::system_error&) {
+    front_->swap(shown_);
+    back_.reset();
+  }
+}
+
+CutBuilder::~CutBuilder() {
+  if (!thread_.joinable()) return;
+  await();
+  state_ = kStop;
+  state_.notify_one();
+  thread_.join();
+}
+
+void CutBuilder::work() {
+  for (;;) {
+    for (uint32_t seen = state_.load(); seen != kBuilding; seen = state_.load()) {
+      if (seen == kStop) return;
+      state_.wait(seen);
+    }
+    Result<void> built;
+    try {
+      if (renumbered_) back_->renumberNext();
+      if (!cut_.empty()) built = back_->update(cut_);  // what the front has taken up since
+      renumbered_ = false;
+      if (renumber_) back_->renumberNext();
+      if (built) built = back_->update(next_cut_);
+    } catch (const std::bad_alloc&) {
+      built = Error{ErrorCode::kIo, "", "", "out of memory for the local matrix", ""};
+    }
+    error_.reset();
+    if (!built) error_ = built.error();
+    state_ = kReady;
+    state_.notify_one();
+  }
+}
+
+void CutBuilder::start(std::span<const stream::StripPtr> active) {
+  started_ = std::chrono::steady_clock::now();
+  next_cut_.assign(active.begin(), active.end());
+  renumber_ = std::exchange(renumber_next_, false);
+  state_ = kBuilding;
+  state_.notify_one();
+}
+
+Result<void> CutBuilder::take() {
+  state_ = kIdle;
+  if (error_) return *error_;
+  latency_seconds_ = std::max(std::chrono::duration<float>(std::chrono::steady_clock::now() - started_).count(), 0.98f * latency_seconds_);
+  front_->swap(shown_);
+  back_->swap(shown_);
+  front_.swap(back_);
+  cut_.swap(next_cut_);
+  renumbered_ = renumber_;
+  change_ = &front_->change();
+  return {};
+}
+
+Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
+  change_ = &none_;
+  if (!back_) {
+    if (std::exchange(renumber_next_, false)) front_->renumberNext();
+    auto updated = front_->update(active);
+    change_ = &front_->change();
+    return updated;
+  }
+  if (state_ == kReady)
+    if (auto taken = take(); !taken) return taken;
+  if (state_ == kIdle && !holds(active)) start(active);
+  return {};
+}
+
+void CutBuilder::await() const { state_.wait(kBuilding); }
+
+bool CutBuilder::holds(std::span<const stream::StripPtr> active) const { return !back_ || (!renumber_next_ && std::ranges::equal(active, cut_)); }
+
+}  // namespace ff::runtime

@@ -1,0 +1,63 @@
+// The local matrix of the cut, brought up to date within a frame or, while the one before is in use, on a thread of its own: then a frame only
+// swaps. For that two assemblers take turns. Each takes up every change in the same order, so that a node has the same slot in both.
+#pragma once
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <memory>
+#include <optional>
+#include <span>
+#include <thread>
+#include <vector>
+
+#include "runtime/cut/matrix_assembler.h"
+
+namespace ff::runtime {
+
+// One thread calls. Nothing but a matrix that outgrows its capacity takes memory there.
+class CutBuilder {
+ public:
+  // The world must outlive it. background: there is a thread; where the system has none, as without.
+  CutBuilder(const formats::World& world, FarLight far_light, bool background);
+  ~CutBuilder();
+
+  // Stays where it is; changes with next() only.
+  const LocalMatrix& matrix() const { return back_ ? shown_ : front_->matrix(); }
+  // What the last next() changed.
+  const MatrixChange& change() const { return *change_; }
+  // By number in LocalMatrix::tiles.
+  const stream::ResidentStrip& strip(size_t tile) const { return front_->strip(tile); }
+
+  // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built if
+  // nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
+  Result<void> next(std::span<const stream::StripPtr> active);
+  // From a cut's first call of next() to the one that took it up, s: the longest of late, which a shorter one lowers by a fiftieth. 0 without a background.
+  float latencySeconds() const { return latency_seconds_; }
+  // Blocks until nothing is being built.
+  void await() const;
+  // Whether the matrix is that of a cut.
+  bool holds(std::span<const stream::StripPtr> active) const;
+  void renumberNext() { renumber_next_ = true; }  // for tests
+
+ private:
+  enum State : uint32_t { kIdle, kBuilding, kReady, kStop };
+  void work();
+  void start(std::span<const stream::StripPtr> active);
+  Result<void> take();
+
+  std::unique_ptr<MatrixAssembler> front_, back_;  // back_: null without a background
+  LocalMatrix shown_;                              // the front's, while it is in front
+  const MatrixChange none_;
+  const MatrixChange* change_ = &none_;
+  bool renumber_next_ = false;
+  std::chrono::steady_clock::time_point started_;
+  float latency_seconds_ = 0;
+  // Handed to the thread and back by state_.
+  std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
+  bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
+  std::optional<Error> error_;
+  std::atomic<uint32_t> state_{kIdle};
+  std::thread thread_;
+};
+
+}  // namespace ff::runtime

@@ -1,0 +1,199 @@
+#include "stream/path_planner.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <new>
+#include <system_error>
+
+#include "stream/wanted_tiles.h"
+
+namespace ff::stream {
+
+using formats::TileId;
+using formats::TileInfo;
+
+namespace {
+
+constexpr float kMaxSeconds = 3;         // a path is not foretold any farther
+constexpr float kLatencies = 4;          // so many reads one after the other, beyond StreamSettings::ahead_seconds
+constexpr float kFrameSeconds = 0.05f;   // the shell: what an observer may go in two reads and a few frames, in any direction
+constexpr float kMinSpeed_m_s = 0.01f;
+constexpr float kMaxTurn = 3.14159265f;  // radians in all: nobody flies in circles that small for long
+constexpr uint32_t kPlansKept = 600;     // a chunk that so many plans have not looked at is forgotten
+constexpr float kNever = std::numeric_limits<float>::infinity();
+
+// Rodrigues' rotation.
+Vec3 rotated(Vec3 v, Vec3 axis, float angle) {
+  const float c = std::cos(angle), s = std::sin(angle);
+  return v * c + cross(axis, v) * s + axis * (dot(axis, v) * (1 - c));
+}
+
+}  // namespace
+
+std::vector<Vec3> foretoldPath(Vec3 observer, Vec3 velocity, Vec3 turn, float seconds, size_t steps) {
+  std::vector<Vec3> path{observer};
+  const float rate = length(turn), step = seconds / static_cast<float>(steps);
+  const Vec3 axis = rate > 0 ? turn / rate : Vec3{};
+  float turned = 0;
+  for (size_t i = 0; i < steps; ++i) {
+    const float by = std::min(rate * step, kMaxTurn - turned);
+    turned += by;
+    velocity = rotated(velocity, axis, by / 2);
+    observer += velocity * step;
+    velocity = rotated(velocity, axis, by / 2);
+    path.push_back(observer);
+  }
+  return path;
+}
+
+Vec3 TurnRate::follow(Vec3 velocity, float seconds) {
+  const Vec3 before = std::exchange(velocity_, velocity);
+  const float lengths = length(before) * length(velocity);
+  Vec3 turn;
+  if (lengths > 0 && seconds > 0) {
+    const Vec3 normal = cross(before, velocity);
+    const float sine = length(normal) / lengths, angle = std::atan2(sine, dot(before, velocity) / lengths);
+    if (sine > 1e-6f) turn = normal / (sine * lengths) * (angle / seconds);
+  }
+  const Vec3 last = std::exchange(turn_, turn);
+  if (dot(last, turn) <= 0) return {};
+  return length(last) < length(turn) ? last : turn;
+}
+
+PathPlanner::PathPlanner(const formats::World& world, const StreamSettings& settings, std::span<const formats::ChunkPtr> top)
+    : world_(world), settings_(settings), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
+  float radius = settings.radius_m;
+  for (size_t level = 0; level < world.levels().size(); ++level, radius *= settings.growth) radius_m_.push_back(radius);
+  try {
+    thread_ = std::thread([this] { work(); });
+  } catch (const std::system_error&) {
+  }
+}
+
+PathPlanner::~PathPlanner() {
+  if (!thread_.joinable()) return;
+  stop_ = true;
+  aims_.fetch_add(1);
+  aims_.notify_all();
+  thread_.join();
+}
+
+void PathPlanner::aim(Vec3 observer, Vec3 velocity, float latency_seconds) {
+  if (!thread_.joinable()) return;
+  {
+    const std::lock_guard lock(mutex_);
+    aim_ = {observer, velocity, latency_seconds, Clock::now()};
+    aims_.fetch_add(1);
+  }
+  aims_.notify_one();
+}
+
+void PathPlanner::take(std::unique_ptr<Plan>& plan) {
+  const std::lock_guard lock(mutex_);
+  std::swap(ready_, plan);
+  fresh_ = false;
+}
+
+void PathPlanner::await() const {
+  for (;;) {
+    const uint32_t planned = planned_.load();
+    if (!thread_.joinable() || planned == aims_.load()) return;
+    planned_.wait(planned);
+  }
+}
+
+void PathPlanner::work() {
+  auto plan = std::make_unique<Plan>();
+  for (uint32_t done = 0;;) {
+    aims_.wait(done);
+    if (stop_) return;
+    Aim aim;
+    {
+      const std::lock_guard lock(mutex_);
+      aim = aim_;
+      done = aims_.load();
+    }
+    plan->tiles.clear();
+    plan->by_id.clear();
+    plan->chunks.clear();
+    try {
+      make(aim, *plan);
+    } catch (const std::bad_alloc&) {  // what is there will do
+      plan->tiles.clear();
+    }
+    {
+      const std::lock_guard lock(mutex_);
+      std::swap(ready_, plan);
+      fresh_ = true;
+    }
+    planned_ = done;
+    planned_.notify_all();
+  }
+}
+
+void PathPlanner::make(const Aim& aim, Plan& plan) {
+  ++plans_;
+  speed_ = length(aim.velocity);
+  const Vec3 turn = turn_rate_.follow(aim.velocity, std::chrono::duration<float>(aim.at - aimed_at_).count());
+  aimed_at_ = aim.at;
+  if (!(speed_ > kMinSpeed_m_s)) return;
+  const float seconds = std::min(settings_.ahead_seconds + kLatencies * aim.latency_seconds, kMaxSeconds);
+  // Half a radius a step: a tile on the way is nearer than its radius at one of them, or misses it by 3 % of that.
+  const auto steps = static_cast<size_t>(std::clamp(std::ceil(speed_ * seconds / (0.5f * settings_.radius_m)), 4.0f, 64.0f));
+  path_ = foretoldPath(aim.observer, aim.velocity, turn, seconds, steps);
+  step_seconds_ = seconds / static_cast<float>(steps);
+  shell_m_ = speed_ * (2 * aim.latency_seconds + kFrameSeconds);
+  for (const formats::ChunkPtr& chunk : top_)
+    for (uint32_t t = 0; t < chunk->tiles.size(); ++t) visit(*chunk, t, plan);
+  std::sort(plan.tiles.begin(), plan.tiles.end(), [](const Ahead& a, const Ahead& b) {
+    if (a.seconds != b.seconds) return a.seconds < b.seconds;
+    return a.id.level != b.id.level ? a.id.level > b.id.level : a.id.tile < b.id.tile;
+  });
+  if (plan.tiles.size() > kMaxTiles) plan.tiles.resize(kMaxTiles);
+  for (uint32_t k = 0; k < plan.tiles.size(); ++k) plan.by_id.push_back({plan.tiles[k].id, k});
+  std::ranges::sort(plan.by_id, {}, &Plan::Named::id);
+  for (auto at = chunks_.begin(); at != chunks_.end();) at = plans_ - at->second.seen < kPlansKept ? std::next(at) : chunks_.erase(at);
+}
+
+// 0: it is wanted now. Off the path but within the shell: after all that is on the path.
+float PathPlanner::secondsTo(const Box& bounds, uint32_t level) const {
+  for (size_t k = 0; k < path_.size(); ++k) {
+    const float beyond = bounds.distance(path_[k]) - radius_m_[level] * (k == 0 ? 1.0f : 1.03f);
+    if (beyond < 0) return k == 0 ? 0 : step_seconds_ * (static_cast<float>(k) - 1);
+  }
+  const float beyond = bounds.distance(path_[0]) - radius_m_[level];
+  return beyond < shell_m_ ? step_seconds_ * static_cast<float>(path_.size()) + beyond / speed_ : kNever;
+}
+
+void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) {
+  const TileInfo& info = chunk.tiles[tile];
+  if (info.id.level == 0) return;
+  const uint32_t level = info.id.level - 1, child = chunk.childWith(info.first_child);
+  if (secondsTo(chunk.children[child].bounds, level) == kNever) return;
+  const formats::Chunk* below = look(chunk, child, plan);
+  if (!below) return;
+  for (uint32_t t = info.first_child - below->firstTile(); t < info.end_child - below->firstTile(); ++t) {
+    const TileInfo& of = below->tiles[t];
+    const float seconds = secondsTo(of.bounds, level);
+    if (seconds == kNever) continue;
+    if (seconds > 0 || of.bounds.distance(path_[0]) >= radius_m_[level]) plan.tiles.push_back({seconds, residentBytesBound(world_, of), of.id, below});
+    visit(*below, t, plan);
+  }
+}
+
+// Null: it cannot be read now; whoever wants it says so.
+const formats::Chunk* PathPlanner::look(const formats::Chunk& parent, uint32_t child, Plan& plan) {
+  Here& here = chunks_[{parent.level - 1, parent.firstTileOf(child)}];
+  if (!here.chunk && Clock::now() >= here.retry_at) {
+    auto read = world_.child(parent.shared_from_this(), child);
+    if (read)
+      here.chunk = std::move(*read);
+    else
+      here.retry_at = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings_.retry_seconds));
+  }
+  if (here.chunk && std::exchange(here.seen, plans_) != plans_) plan.chunks.push_back(here.chunk);
+  return here.chunk.get();
+}
+
+}  // namespace ff::stream

@@ -1,0 +1,104 @@
+// Which tiles the observer will want next, and when: those that come within their radius along the path that velocity and turn rate foretell, and
+// a shell around the radius for turns that nothing foretells. Planned on a thread of its own, which also reads the index of what lies
+// there; so a frame only takes the list.
+#pragma once
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <span>
+#include <thread>
+#include <vector>
+
+#include "formats/read/reader.h"
+#include "stream/streamer.h"
+#include "stream/tile_map.h"
+
+namespace ff::stream {
+
+// Where the observer will be, at even steps from now to `seconds` ahead. turn: radians a second about the axis that it points along.
+std::vector<Vec3> foretoldPath(Vec3 observer, Vec3 velocity, Vec3 turn, float seconds, size_t steps);
+
+// How an observer turns, from one velocity to the next: a turn counts once it has lasted for two of them, so that a sharp corner is none.
+class TurnRate {
+ public:
+  // seconds: since the last call. Radians a second.
+  Vec3 follow(Vec3 velocity, float seconds);
+
+ private:
+  Vec3 velocity_, turn_;
+};
+
+class PathPlanner {
+ public:
+  static constexpr size_t kMaxTiles = 2048;  // of a plan
+  struct Ahead {
+    float seconds = 0;  // from when the plan was made to when the tile is wanted
+    uint64_t bytes = 0;  // residentBytesBound()
+    formats::TileId id;
+    const formats::Chunk* chunk = nullptr;  // in Plan::chunks
+  };
+  struct Plan {
+    std::vector<Ahead> tiles;  // the soonest first, coarser ones first where it is the same
+    struct Named {
+      formats::TileId id;
+      uint32_t rank = 0;  // number in `tiles`
+    };
+    std::vector<Named> by_id;
+    std::vector<formats::ChunkPtr> chunks;  // the index of what is wanted, now and along the path
+  };
+
+  // The world outlives it. top: the coarsest level's chunks. Where the system has no thread, nothing is planned.
+  PathPlanner(const formats::World& world, const StreamSettings& settings, std::span<const formats::ChunkPtr> top);
+  ~PathPlanner();
+
+  // The frame's: they allocate and free nothing.
+  // latency_seconds: that reads take at present.
+  void aim(Vec3 observer, Vec3 velocity, float latency_seconds);
+  // Whether take() has something new; no lock.
+  bool fresh() const { return fresh_.load(); }
+  // The newest plan, for one that is given back.
+  void take(std::unique_ptr<Plan>& plan);
+  // Blocks until there is a plan for the last aim.
+  void await() const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  struct Aim {
+    Vec3 observer, velocity;
+    float latency_seconds = 0;
+    Clock::time_point at;
+  };
+  struct Here {
+    formats::ChunkPtr chunk;
+    uint32_t seen = 0;  // number of the last plan that looked at it
+    Clock::time_point retry_at;  // null chunk: it could not be read
+  };
+  void work();
+  void make(const Aim& aim, Plan& plan);
+  const formats::Chunk* look(const formats::Chunk& parent, uint32_t child, Plan& plan);
+  void visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan);
+  float secondsTo(const Box& bounds, uint32_t level) const;
+
+  const formats::World& world_;
+  const StreamSettings settings_;
+  std::vector<float> radius_m_;            // by level
+  std::vector<formats::ChunkPtr> top_;
+  TileMap<Here> chunks_;                   // by their first tile
+  TurnRate turn_rate_;
+  Clock::time_point aimed_at_;
+  uint32_t plans_ = 0;
+  // Of the plan being made.
+  std::vector<Vec3> path_;
+  float step_seconds_ = 0, shell_m_ = 0, speed_ = 0;
+
+  mutable std::mutex mutex_;
+  Aim aim_;
+  std::unique_ptr<Plan> ready_;
+  std::atomic<uint32_t> aims_{0}, planned_{0};  // aims so far; the one of the newest plan
+  std::atomic<bool> fresh_{false}, stop_{false};
+  std::thread thread_;
+};
+
+}  // namespace ff::stream

@@ -1,0 +1,332 @@
+// ff_bench_stream: flies through a world in real time, 60 frames a second, with nothing of it in the kernel's page cache: how late tiles are,
+// what the frame's thread has to do, what the disk reads, and how much the light of surfaces jumps under light that does not change (by
+// night: lit windows are the hard case, where a cluster stands for several lamps). Prints JSON lines.
+#include <fcntl.h>
+#include <unistd.h>
+#include <zstd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <ctime>
+#include <fstream>
+#include <set>
+
+#include "formats/codec/records.h"
+#include "runtime/updater.h"
+#include "stream/file_source.h"
+#include "stream/strip_loader.h"
+#include "tests/bench/flight_paths.h"
+#include "tests/bench/late_source.h"
+#include "tests/bench/surface_light.h"
+#include "tests/bench/truth.h"
+
+namespace {
+
+using namespace ff;
+using namespace ff::bench;
+
+constexpr double kFrameSeconds = 1.0 / 60;
+constexpr int kIterations = 2;  // a frame, as the C interface does
+constexpr float kJump = 0.02f;
+
+struct Options {
+  std::string world, reader, path;
+  uint64_t patches = 60000;
+  uint32_t rays = 512;
+  double seconds = 15;
+  float height_m = 1.6f;
+  float delay_ms = 0;
+  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false;
+};
+
+double threadMs() {
+  timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
+}
+
+// Bytes that the kernel has read from disks for this process.
+uint64_t deviceBytes() {
+  std::ifstream in("/proc/self/io");
+  std::string name;
+  uint64_t value = 0;
+  while (in >> name >> value)
+    if (name == "read_bytes:") return value;
+  return 0;
+}
+
+void dropFromPageCache(const formats::World& world) {
+  const std::string folder = formats::folderOf(world.path());
+  for (const formats::ShardInfo& shard : world.shards()) {
+    const int fd = ::open((folder + shard.name).c_str(), O_RDONLY | O_CLOEXEC);
+    if (fd < 0) continue;
+    ::fdatasync(fd);  // pages that are not written yet stay
+    ::posix_fadvise(fd, 0, 0, POSIX_FADV_DONTNEED);
+    ::close(fd);
+  }
+}
+
+// Times a solver's steps, so that a frame can be told without them.
+class TimedSolver final : public runtime::Solver {
+ public:
+  explicit TimedSolver(std::unique_ptr<Solver> of) : of_(std::move(of)) {}
+  Result<void> update(const runtime::LocalMatrix& m, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->update(m, c); }); }
+  Result<void> setSource(std::span<const Vec4> source) override { return timed(update_, [&] { return of_->setSource(source); }); }
+  Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
+  Result<void> iterate(int k) override { return timed(steps_, [&] { return of_->iterate(k); }); }
+  Result<void> approach(int k) override { return timed(steps_, [&] { return of_->approach(k); }); }
+  Result<void> radiosity(std::span<Vec4> out) override { return of_->radiosity(out); }
+  uint64_t repaired() const override { return of_->repaired(); }
+  double lastMs() const override { return of_->lastMs(); }
+  const char* name() const override { return of_->name(); }
+
+  struct Spent {
+    double wall_ms = 0, cpu_ms = 0;
+  };
+  Spent takeSteps() { return std::exchange(steps_, {}); }    // since the last call
+  Spent takeUpdate() { return std::exchange(update_, {}); }  // taking up matrices and light
+
+ private:
+  template <class Call>
+  static Result<void> timed(Spent& spent, Call&& call) {
+    const auto began = Clock::now();
+    const double cpu = threadMs();
+    auto result = call();
+    spent.cpu_ms += threadMs() - cpu;
+    spent.wall_ms += msSince(began);
+    return result;
+  }
+  std::unique_ptr<Solver> of_;
+  Spent steps_, update_;
+};
+
+double quantile(std::vector<double>& values, double share) {
+  if (values.empty()) return 0;
+  std::sort(values.begin(), values.end());
+  return values[std::min(values.size() - 1, static_cast<size_t>(share * static_cast<double>(values.size())))];
+}
+
+std::string number(double x) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", x);
+  return text;
+}
+
+// What a path's passes came to.
+struct Flown {
+  std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, near, far;
+  uint64_t frames = 0, frames_late = 0, late = 0, wanted = 0, frames_jump_near = 0, frames_jump_far = 0, changes = 0;
+  uint64_t device_bytes = 0, read_bytes = 0, used_bytes = 0, strips = 0, cancelled = 0, failed = 0;
+  double seconds = 0;
+  std::vector<double> whole_after_ms;  // of teleports: until nothing was late
+};
+
+// Tiles of the world that lie within their radius, their ancestors too, and are not in the matrix: by the definition alone, the chunks that nobody has read
+// yet included. 0 where the budget of patches acts as a smaller radius.
+uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::StreamSettings& settings, Vec3 observer, std::span<const SlotRange> active) {
+  uint64_t late = 0, patches = 0;
+  for (const SlotRange& range : active) patches += range.id.level == 0 ? range.nodes : 0;
+  if (patches + formats::kTileNodes > settings.max_level0_nodes) return 0;  // those that hysteresis keeps count
+  std::vector<char> above, here;  // by tile: wanted
+  for (uint32_t level = world.top(); level + 1 > 0; --level) {
+    const float radius = settings.radius_m * std::pow(settings.growth, static_cast<float>(level));
+    here.assign(world.tiles(level).size(), 0);
+    for (const formats::TileInfo& info : world.tiles(level)) {
+      here[info.id.tile] = level == world.top() || (above[info.parent_tile] && info.bounds.distance(observer) < radius);
+      if (!here[info.id.tile]) continue;
+      late += !std::ranges::binary_search(active, info.id, {}, &SlotRange::id);
+    }
+    above.swap(here);
+  }
+  return late;
+}
+
+void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, Flown& flown) {
+  for (int pass = 0; pass < path.passes; ++pass) {
+    const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
+    std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
+                                                 : options.reader == "io_uring" ? orExit(stream::makeUringSource(world))
+                                                                                : stream::makeFileSource(world);
+    if (options.delay_ms > 0) source = std::make_unique<LateSource>(std::move(source), std::chrono::microseconds(static_cast<int64_t>(1000 * options.delay_ms)));
+    stream::StreamSettings settings;
+    settings.radius_m *= whole.info().cell_m;
+    const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
+    TimedSolver solver(runtime::makeCpuGather());
+    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame);
+    runtime::Sky sky;
+    sky.l0 = options.day ? Vec3{1.1f, 1.4f, 1.9f} : Vec3{0.002f, 0.003f, 0.004f};
+    orExit(updater.setSky(sky));
+    const FlightPath::Moment first = path.moment(pass, 0);
+    streamer->update(first.at, first.velocity);
+    orExit(streamer->settle());
+    for (int k = 0; k < 5; ++k) {  // as one that is flying already: what it takes to build a matrix is known
+      updater.awaitCut();
+      (void)orExit(updater.frame(first.at, first.velocity, 1));
+      orExit(streamer->settle());
+    }
+    (void)orExit(updater.converge(1e-5f, 2000));
+    std::vector<Vec4> radiosity(updater.matrix().slots());
+    orExit(updater.reflected(radiosity));
+    surface.forget();
+    surface.look(first.at, updater.matrix(), radiosity);
+    std::set<formats::TileId> there, used;
+    for (const stream::StripPtr& strip : streamer->active()) there.insert(strip->id);
+    if (!options.warm) dropFromPageCache(world);
+    (void)solver.takeSteps();
+    (void)solver.takeUpdate();
+    const uint64_t device_before = deviceBytes();
+    const stream::StreamStats before = streamer->stats();
+    const auto frames = static_cast<int>(path.pass_seconds / kFrameSeconds);
+    const auto start = Clock::now();
+    int jumped_at = -1;
+    for (int f = 1; f <= frames; ++f) {
+      std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(f * kFrameSeconds)));
+      const FlightPath::Moment now = path.moment(pass, f * kFrameSeconds);
+      if (options.unhurried) {
+        streamer->update(now.at, now.velocity);
+        orExit(streamer->settle());
+      }
+      const auto began = Clock::now();
+      const double cpu = threadMs();
+      const runtime::FrameStats stats = orExit(updater.frame(now.at, now.velocity, kIterations));
+      const double frame_ms = msSince(began), frame_cpu_ms = threadMs() - cpu;
+      const TimedSolver::Spent steps = solver.takeSteps(), update = solver.takeUpdate();
+      flown.frame_ms.push_back(frame_ms - steps.wall_ms);
+      flown.frame_cpu_ms.push_back(frame_cpu_ms - steps.cpu_ms);
+      flown.solver_update_cpu_ms.push_back(update.cpu_ms);
+      flown.stream_ms.push_back(stats.stream_ms);
+      flown.matrix_ms.push_back(stats.matrix_ms - update.wall_ms);
+      flown.changes += stats.matrix_changed;
+      const stream::StreamStats s = streamer->stats();
+      ++flown.frames;
+      const uint64_t late = lateByDefinition(whole, settings, now.at, updater.matrix().tiles);
+      flown.frames_late += late > 0;
+      flown.late += late;
+      flown.wanted += s.wanted_tiles;
+      if (now.jumped) jumped_at = f;
+      if (jumped_at >= 0 && late == 0) {
+        flown.whole_after_ms.push_back(1000 * kFrameSeconds * (f - jumped_at + 1));
+        jumped_at = -1;
+      }
+      if (stats.matrix_changed)
+        for (const stream::StripPtr& strip : streamer->active())
+          if (!there.contains(strip->id) && used.insert(strip->id).second) flown.used_bytes += strip->tile.info().strip.stored_bytes;
+      radiosity.resize(updater.matrix().slots());
+      orExit(updater.reflected(radiosity));
+      surface.look(now.at, updater.matrix(), radiosity);
+      const auto most = [](const std::vector<float>& changes) { return changes.empty() ? 0.0f : *std::ranges::max_element(changes); };
+      flown.frames_jump_near += most(surface.near()) > kJump;
+      flown.frames_jump_far += most(surface.far()) > kJump;
+      flown.near.insert(flown.near.end(), surface.near().begin(), surface.near().end());
+      flown.far.insert(flown.far.end(), surface.far().begin(), surface.far().end());
+    }
+    flown.seconds += path.pass_seconds;
+    flown.device_bytes += deviceBytes() - device_before;
+    const stream::StreamStats after = streamer->stats();
+    flown.read_bytes += after.bytes_read - before.bytes_read;
+    flown.strips += after.strips_read - before.strips_read;
+    flown.cancelled += after.cancelled - before.cancelled;
+    flown.failed += after.failed - before.failed;
+  }
+}
+
+void report(const std::string& name, const FlightPath& path, Flown& flown) {
+  const auto ratio = [](auto a, auto b) { return b > 0 ? static_cast<double>(a) / static_cast<double>(b) : 0; };
+  const auto percent = [&](auto a, auto b) { return number(100 * ratio(a, b)) + " %"; };
+  const std::string note = name + "; " + path.name + ": " + std::to_string(flown.frames) + " frames in " + std::to_string(path.passes) + " passes";
+  std::string after;
+  if (!flown.whole_after_ms.empty()) {
+    const double middle = quantile(flown.whole_after_ms, 0.5);
+    after = "; nothing late any more " + number(middle) + " ms after a teleport, at most " + number(flown.whole_after_ms.back()) + " ms, " +
+            std::to_string(flown.whole_after_ms.size()) + " teleports";
+  }
+  print("stream.late_tiles", static_cast<double>(flown.late), "tiles", 0,
+        note + "; tiles within their radius that were not active, summed over frames; in " + percent(flown.frames_late, flown.frames) + " of the frames, " +
+            percent(flown.late, flown.wanted) + " of the wanted tiles; " + std::to_string(flown.strips) + " strips read, " + std::to_string(flown.failed) + " failed, " +
+            std::to_string(flown.cancelled) + " dropped from the queue" + after);
+  const auto cpu = [&](double share) {
+    return number(quantile(flown.frame_cpu_ms, share)) + ", of these the solver's tables " + number(quantile(flown.solver_update_cpu_ms, share)) + "; on the clock the streamer " +
+           number(quantile(flown.stream_ms, share)) + ", matrix and light " + number(quantile(flown.matrix_ms, share));
+  };
+  for (const auto& [metric, share, limit] : {std::tuple{"stream.frame_p50_ms", 0.5, std::nan("")}, std::tuple{"stream.frame_p99_ms", 0.99, 0.2},
+                                             std::tuple{"stream.frame_max_ms", 1.0, 1.0}})
+    print(metric, quantile(flown.frame_ms, share), "ms", limit,
+          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames",
+          "cpu");
+  print("stream.read_amplification", ratio(flown.device_bytes, flown.used_bytes), "ratio", 2.5,
+        note + "; bytes that the disk read over those of strips that became active, " + number(static_cast<double>(flown.used_bytes) / 1e6) + " MB; strips read over the same " +
+            number(ratio(flown.read_bytes, flown.used_bytes)) + "; " + number(static_cast<double>(flown.device_bytes) / 1e6 / flown.seconds) + " MB/s from the disk");
+  const double worst = flown.near.empty() ? 0 : *std::ranges::max_element(flown.near);
+  print("stream.pop_p99", quantile(flown.near, 0.99), "relative", 0.01,
+        note + "; change from frame to frame of what fixed patches within 12 m reflect, over the mean within 30 m; worst " + number(worst) + ", above 2 % in " +
+            percent(flown.frames_jump_near, flown.frames) + " of the frames; at 12 to 30 m 99 % below " + number(quantile(flown.far, 0.99)) + ", above 2 % in " +
+            percent(flown.frames_jump_far, flown.frames));
+}
+
+// Decoding into the form that solvers use, beside zstd alone on the same strips, round by round.
+void printDecoding(const formats::WholeWorld& world, const std::string& name) {
+  std::vector<std::pair<formats::TileRef, std::vector<std::byte>>> strips;
+  size_t largest = 0;
+  const auto tiles = world.tiles(0);
+  for (size_t t = 0; t < tiles.size(); t += std::max<size_t>(1, tiles.size() / 200)) {
+    std::vector<std::byte> stored(tiles[t].strip.stored_bytes);
+    orExit(world.readStored(tiles[t].strip, stored));
+    largest = std::max<size_t>(largest, tiles[t].strip.raw_bytes);
+    strips.emplace_back(world.ref(tiles[t].id), std::move(stored));
+  }
+  std::vector<char> buffer(largest);
+  const std::unique_ptr<ZSTD_DCtx, size_t (*)(ZSTD_DCtx*)> context(ZSTD_createDCtx(), ZSTD_freeDCtx);
+  std::vector<double> ratios;
+  for (int round = 0; round < 9; ++round) {
+    double began = threadMs();
+    for (const auto& [tile, stored] : strips)
+      if (ZSTD_isError(ZSTD_decompressDCtx(context.get(), buffer.data(), buffer.size(), stored.data() + formats::kStripHeaderBytes, stored.size() - formats::kStripHeaderBytes)))
+        std::exit(3);
+    const double bare = threadMs() - began;
+    began = threadMs();
+    for (const auto& [tile, stored] : strips) (void)orExit(stream::decodeAndPack(world, tile, stored));
+    ratios.push_back(bare / (threadMs() - began));
+  }
+  const double middle = median(ratios);
+  print("stream.decode_ratio_to_bare_zstd", middle, "ratio", 0.6,
+        name + "; one core, " + std::to_string(strips.size()) + " strips of level 0, into the form that solvers use; median of " + std::to_string(ratios.size()) + " rounds, " +
+            number(ratios.front()) + " to " + number(ratios.back()));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options options;
+  CLI::App app{"Flies through a world at 60 frames a second, its files out of the page cache: late tiles, the frame's thread, the disk, and jumps of light. One JSON object a line.",
+               "ff_bench_stream"};
+  app.add_option("--world", options.world, "a baked world; without it a town is baked");
+  app.add_flag("--quick", options.quick, "a smaller town, shorter paths");
+  app.add_option("--patches", options.patches, "of the town that is baked: 60000, 60k, 1M")->transform(CLI::AsSizeValue(true))->capture_default_str();
+  app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
+  app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
+  app.add_option("--path", options.path, "paths whose names begin so; all without it");
+  app.add_option("--height", options.height_m, "of the eyes, m, in the world's coordinates")->capture_default_str();
+  app.add_option("--reader", options.reader, "io_uring or threads; what streams choose without it")->check(CLI::IsMember({"io_uring", "threads"}));
+  app.add_option("--delay", options.delay_ms, "ms that every read takes longer")->check(CLI::Range(0.0f, 10000.0f));
+  app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
+  app.add_flag("--warm", options.warm, "leaves the files in the page cache");
+  app.add_flag("--in-frame", options.in_frame, "new matrices are put together within the frame");
+  app.add_flag("--unhurried", options.unhurried, "every frame waits until all is there: what changes of the cut cost by themselves");
+  CLI11_PARSE(app, argc, argv);
+  if (options.quick) options.seconds = std::min(options.seconds, 4.0);
+  const auto folder = std::filesystem::temp_directory_path() / ("ff_bench_stream_" + std::to_string(getpid()));
+  std::filesystem::create_directories(folder);
+  const formats::WholeWorld world =
+      orExit(formats::WholeWorld::open(options.world.empty() ? bakeTown(folder, options.quick, options.patches, options.rays) : options.world));
+  SurfaceLight surface(world);
+  const std::string name = std::to_string(world.levels()[0].nodes) + " patches" + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
+  for (const FlightPath& path : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
+    if (!path.name.starts_with(options.path)) continue;
+    Flown flown;
+    fly(options, world, surface, path, flown);
+    report(name, path, flown);
+  }
+  if (options.path.empty()) printDecoding(world, name);
+  std::filesystem::remove_all(folder);
+  return 0;
+}
