@@ -268,7 +268,8 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
     keep(findSlivers(scene), surface->findings);
     keep(findOpenEdges(scene, *surface->caster, report.count), surface->findings);
   }
-  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals, .merge_error = settings.merge_error};
+  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals, .merge_error = settings.merge_error,
+                          .max_pieces = std::min(kMostPieces, piecesThatFit(scene, settings))};
   auto set = settings.cell_m > 0 ? makePatches(scene, cut, &*surface->caster) : patchesWithin(settings.patch_budget, scene, cut, *surface->caster);
   if (!set) return set.error();
   surface->set = std::move(*set);

@@ -45,6 +45,8 @@ double memoryOf(double patches, double pieces, double triangles) {
   return triangles * kBytesATriangle + pieces * kBytesAPiece + patches * kBytesAPatch;
 }
 
+double allowed(const BakeSettings& settings) { return static_cast<double>(settings.memory_bytes > 0 ? settings.memory_bytes : freeMemory()); }
+
 }  // namespace
 
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
@@ -94,8 +96,12 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
   return e;
 }
 
+double piecesThatFit(const Scene& scene, const BakeSettings& settings) {
+  return std::max(0.0, 1.1 * allowed(settings) - memoryOf(0, 0, static_cast<double>(scene.triangles.size()))) / kBytesAPiece;
+}
+
 Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& e) {
-  const auto free = static_cast<double>(settings.memory_bytes > 0 ? settings.memory_bytes : freeMemory());
+  const double free = allowed(settings);
   if (e.memory_bytes <= free) return {};
   std::string remedy = "split the scene, or leave objects out with --exclude";
   BakeSettings larger = settings;

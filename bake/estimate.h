@@ -13,6 +13,9 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings);
 // Refuses (kUsage) what does not fit into settings.memory_bytes, or into what is free where that is 0, and says which size would.
 Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& estimate);
 
+// The pieces of surface that memory has room for, within a tenth.
+double piecesThatFit(const Scene& scene, const BakeSettings& settings);
+
 // Refuses (kIo) a world that its disk has no room for. What cannot be found out is not refused.
 Result<void> checkSpace(const std::string& path, const BakeEstimate& estimate);
 

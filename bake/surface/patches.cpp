@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <numeric>
 #include <optional>
@@ -80,18 +81,27 @@ class PatchBuilder {
       set_.fineness_[t] = static_cast<int8_t>(finenessOf(scene_, t));
       bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s * faceCells(set_.fineness_[t]));
     }
-    if (bound > 5e8)
+    if (bound > kMostPieces)
       return Error{ErrorCode::kUsage, scene_.name, "",
                    "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
                    "use a larger --patch-size"};
+    // Surfaces that stand on each other are cut where they meet, into how many is not known before.
+    std::atomic<uint64_t> made{0};
+    const auto tooMany = [&] { return static_cast<double>(made.load(std::memory_order_relaxed)) > settings_.max_pieces; };
     std::vector<std::vector<Piece>> parts(chunks);
     tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
+      if (tooMany()) return;
       const size_t end = std::min(n, (c + 1) * kChunk);
       for (size_t t = c * kChunk; t < end; ++t) {
         cutter.cut(static_cast<uint32_t>(t), parts[c]);
         if (settings_.done) settings_.done->add();
       }
+      made += parts[c].size();
     });
+    if (tooMany())
+      return Error{ErrorCode::kUsage, scene_.name, "",
+                   "its surfaces cut each other into more than " + std::to_string(static_cast<uint64_t>(settings_.max_pieces)) + " pieces, more than there is memory for",
+                   "use a larger --patch-size, or allow more with --memory"};
     set_.piece_start_.assign(n + 1, 0);
     pieces_.reserve(std::accumulate(parts.begin(), parts.end(), size_t{0}, [](size_t sum, const auto& part) { return sum + part.size(); }));
     for (auto& part : parts) {

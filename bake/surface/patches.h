@@ -117,6 +117,8 @@ class PatchSet {
   std::vector<Rim> rims_;
 };
 
+inline constexpr double kMostPieces = 5e8;
+
 struct PatchSettings {
   float cell_m = 1;
   WorkCount* done = nullptr;  // counts triangles as they are cut, and the surfaces that are judged; may be null
@@ -124,9 +126,10 @@ struct PatchSettings {
   float metals = 1;  // share of a metal's mirror reflection that is carried on as diffuse light: albedo =
                      // base colour * (1 - metallic * (1 - metals)). 1 keeps its energy, 0 its darkness in a diffuse model.
   float merge_error = 0;  // patches become one within this error, relative: merging.h; 0: none do
+  double max_pieces = kMostPieces;  // more than what surfaces that meet may be cut into are refused
 };
 
-// Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or 2^31 patches.
+// Errors (kUsage): cell size not positive, or so small that the scene spans more than 2^20 cells or is cut into more than max_pieces.
 // caster: of the scene; null: nothing is parted, sealed or merged.
 Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster = nullptr);
 

@@ -61,6 +61,22 @@ PatchSet floorUnderRug(float gap_m) {
   return *makePatches(s, {.cell_m = 1}, &*caster);
 }
 
+TEST(Patches, MorePiecesThanThereIsMemoryForAreRefusedInOneLine) {
+  // A floor in four cells, which is two triangles, is ten pieces or less; what stands on it cuts it into more than can be told beforehand.
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
+  addQuad(s, {0, 0, 0}, {0, 0, 2}, {2, 0, 2}, {2, 0, 0}, m);
+  EXPECT_TRUE(makePatches(s, {.cell_m = 1, .max_pieces = 10}));
+  for (float x = 0.1f; x < 1.8f; x += 0.2f) addBlock(s, {x, 0, 0.5f}, {x + 0.05f, 0.3f, 1.5f}, m);
+  const auto caster = RayCaster::create(s);
+  ASSERT_TRUE(caster);
+  ASSERT_TRUE(makePatches(s, {.cell_m = 1}, &*caster));
+  const auto refused = makePatches(s, {.cell_m = 1, .max_pieces = 100}, &*caster);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUsage);
+  EXPECT_NE(refused.error().line().find("cut each other into more than 100 pieces"), std::string::npos) << refused.error().line();
+}
+
 TEST(Patches, WhatLiesUnderARugTakesNoPart) {
   const PatchSet set = floorUnderRug(1.5e-6f);  // rays start 3e-6 m off
   ASSERT_EQ(set.patches.size(), 1u);
