@@ -50,7 +50,7 @@ std::string describe(const WalkCase& c) {
 
 // E += r + G C r with r = F (M + C E) - E: one sparse and one dense product, what the dense solver does every frame.
 void correct(BounceMatrix& matrix, const Placement& at, std::span<const Vec4> source, std::vector<Vec4>& e) {
-  const PatchSet& set = at.set();
+  const SceneRows& set = at.set();
   std::vector<Vec4> reflected(e.size()), correction(e.size());
   std::vector<Rgb> residual(e.size());
   for (uint32_t i = 0; i < e.size(); ++i) {
@@ -82,7 +82,7 @@ void correct(BounceMatrix& matrix, const Placement& at, std::span<const Vec4> so
 // ||F (M + C E) - E|| / ||F M||: what a solver can see of its own error.
 double residual(BounceMatrix& matrix, const Placement& at, std::span<const Vec4> source, std::vector<Vec4>& e) {
   orExit(matrix.relight(source, e));
-  const PatchSet& set = at.set();
+  const SceneRows& set = at.set();
   double left = 0, norm = 0;
   for (uint32_t i = 0; i < e.size(); ++i) {
     const uint32_t p = at.patch(i);
@@ -112,7 +112,7 @@ struct Drift {
 };
 
 Drift drift(const WalkCase& c, Maker make, Storage storage, double limit, bool doubling) {
-  const PatchSet scene = makeScene(c.scene);
+  const SceneRows scene = makeScene(c.scene);
   const auto matrix = orExit(make({.places = c.places, .storage = storage}));
   auto at = std::make_unique<Placement>(scene, c.places);
   Walk walk(c.kind, scene.patches(), c.places, c.block, 1);
@@ -177,7 +177,7 @@ std::unique_ptr<BounceMatrix> wide(Maker make, const MultibounceSettings& settin
 
 void speed(bool quick) {
   const uint32_t places = 4096, k = kMaxBlock;
-  const PatchSet scene = makeScene({.patches = 2 * places});
+  const SceneRows scene = makeScene({.patches = 2 * places});
   std::vector<uint32_t> there(places - k - 1);
   for (uint32_t i = 0; i < there.size(); ++i) there[i] = i;
   struct Candidate {

@@ -36,7 +36,7 @@ double msPerNode(BounceMatrix& matrix, Placement& at, uint32_t block, uint32_t f
 void printBlocks(const std::shared_ptr<VkContext>& context, bool quick) {
   const uint32_t places = isSoftwareDevice(*context) ? (quick ? 256 : 512) : 4096;
   const int repeats = quick ? 4 : 12;
-  const PatchSet scene = makeScene({.patches = 2 * places});
+  const SceneRows scene = makeScene({.patches = 2 * places});
   const auto seed = orExit(makeVulkanSeed(context, {.places = places}));
   Placement seed_at(scene, places);
   // Filled but for a block, so that its passes go over all of the matrix.

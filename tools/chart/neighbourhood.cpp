@@ -73,7 +73,7 @@ Result<LocalPatches> localPatches(const formats::WholeWorld& world, const WorldT
     albedo.push_back(rho);
     std::sort(rows[p].begin(), rows[p].end());
   }
-  l.set = makePatchSet(rows, std::move(albedo));
+  l.set = makeSceneRows(rows, std::move(albedo));
   return l;
 }
 

@@ -33,7 +33,7 @@ Result<void> lightUp(const Neighbourhood& there, runtime::Solver& solver);  // w
 // The active patches of a neighbourhood. Beyond them the truth's mean radiosity, the constant's best value.
 struct LocalPatches {
   runtime::LocalMatrix matrix;  // FarLight::kConstant
-  walks::PatchSet set;
+  walks::SceneRows set;
   std::vector<uint32_t> slots;             // of the patches, in order
   std::vector<runtime::Vec4> source;       // by patch: M and what the constant adds
   std::vector<runtime::Vec4> slot_source;  // by slot: M alone

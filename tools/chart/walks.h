@@ -21,7 +21,7 @@ using runtime::Vec4;
 using FormFactorRow = std::vector<std::pair<uint32_t, float>>;
 
 // The same values by rows and by columns.
-struct PatchSet {
+struct SceneRows {
   std::vector<Vec4> albedo;
   std::vector<uint32_t> row_start, columns;
   std::vector<float> row_values;
@@ -30,8 +30,8 @@ struct PatchSet {
   uint32_t patches() const { return static_cast<uint32_t>(albedo.size()); }
 };
 
-inline PatchSet makePatchSet(std::span<const FormFactorRow> rows, std::vector<Vec4> albedo) {
-  PatchSet set;
+inline SceneRows makeSceneRows(std::span<const FormFactorRow> rows, std::vector<Vec4> albedo) {
+  SceneRows set;
   set.albedo = std::move(albedo);
   set.column_start.assign(rows.size() + 1, 0);
   set.row_start.push_back(0);
@@ -117,7 +117,7 @@ inline std::vector<Vec4> makeAlbedos(const SceneSettings& s) {
   return albedo;
 }
 
-inline PatchSet makeScene(const SceneSettings& s) { return makePatchSet(makeRows(s), makeAlbedos(s)); }
+inline SceneRows makeScene(const SceneSettings& s) { return makeSceneRows(makeRows(s), makeAlbedos(s)); }
 
 inline std::vector<Vec4> randomLight(size_t count, uint64_t seed) {
   std::mt19937_64 random(seed);
@@ -132,13 +132,13 @@ class Placement {
  public:
   static constexpr uint32_t kNone = 0xffffffffu;
 
-  Placement(const PatchSet& set, uint32_t places)
+  Placement(const SceneRows& set, uint32_t places)
       : set_(set), place_(set.patches(), kNone), patch_(places, kNone), entering_(set.patches(), 0) {}
 
   uint32_t place(uint32_t patch) const { return place_[patch]; }
   uint32_t patch(uint32_t place) const { return patch_[place]; }
   uint32_t places() const { return static_cast<uint32_t>(patch_.size()); }
-  const PatchSet& set() const { return set_; }
+  const SceneRows& set() const { return set_; }
 
   // Seats the patches on the lowest free places. The block's spans live until the next call.
   EnteringBlock enter(std::span<const uint32_t> patches) {
@@ -193,7 +193,7 @@ class Placement {
   }
 
  private:
-  const PatchSet& set_;
+  const SceneRows& set_;
   std::vector<uint32_t> place_, patch_;
   std::vector<uint8_t> entering_;
   std::vector<uint32_t> places_now_, row_start_, columns_, column_start_, receivers_, leaving_;
@@ -206,7 +206,7 @@ using Rgb = std::array<double, 3>;
 // The irradiance E of every place for M = source, from the patches' form factors alone, in double precision: solves
 // (I - F C) E = F M by Gauss-Seidel to 1e-13, which works for any size, however near to 1 the albedos are (slowly).
 inline std::vector<Rgb> exactIrradiance(const Placement& at, std::span<const Vec4> source) {
-  const PatchSet& set = at.set();
+  const SceneRows& set = at.set();
   std::vector<Rgb> e(at.places(), Rgb{});
   double change = 1, largest = 0;
   for (int sweep = 0; sweep < 200000 && change > 1e-13 * largest; ++sweep) {

@@ -5,7 +5,7 @@
 #include <turbojpeg.h>
 #include <webp/encode.h>
 
-#include <chrono>
+#include <ctime>
 #include <cstdlib>
 
 #include "tests/bake/import/gltf_file.h"
@@ -257,9 +257,9 @@ TEST(ImportPicture, WorkIsBoundedByTheFileAndNotByWhatItPromises) {
   for (const Bytes& bytes : {large_png, large_jpeg}) {
     GltfFile file = fileWith({{"source", 0}});
     addImage(file, bytes);
-    const auto began = std::chrono::steady_clock::now();
+    const std::clock_t began = std::clock();
     expectStandIn(importGood(file.save(folder, "t.glb")), "cut short");
-    EXPECT_LT(std::chrono::steady_clock::now() - began, std::chrono::seconds(1));
+    EXPECT_LT(static_cast<double>(std::clock() - began) / CLOCKS_PER_SEC, 1.0);
   }
 }
 
@@ -270,11 +270,11 @@ TEST(ImportPicture, HostilePicturesOfTheSharedFolder) {
   GltfFile file = fileWith({{"source", 0}});
   file.json["images"] = {{{"uri", "h.jpg"}}};
   expectStandIn(importGood(file.save(folder, "t.gltf")), "image 0");
-  const auto began = std::chrono::steady_clock::now();
+  const std::clock_t began = std::clock();  // the process's own time, whatever else is under way
   const Scene many = importGood((kHostile / "png_11000_short_x300.glb").string());
   EXPECT_EQ(many.triangles.size(), 300u);
   EXPECT_EQ(many.warnings.size(), 1u);
-  EXPECT_LT(std::chrono::steady_clock::now() - began, std::chrono::seconds(60));  // 27 s when each was decoded
+  EXPECT_LT(static_cast<double>(std::clock() - began) / CLOCKS_PER_SEC, 12.0);  // 27 s when each was decoded
 }
 
 }  // namespace

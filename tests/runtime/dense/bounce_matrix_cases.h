@@ -37,7 +37,7 @@ class BounceMatrixTest : public ::testing::TestWithParam<BounceCase> {
 };
 
 TEST_P(BounceMatrixTest, IsTheDirectSolutionAfterAnyWalkWithBlocksOfAnySize) {
-  const PatchSet scene = makeScene({.patches = 400, .entries_per_row = 40});
+  const SceneRows scene = makeScene({.patches = 400, .entries_per_row = 40});
   for (const uint32_t block : {1u, 2u, 7u, 16u, 33u, 64u}) {
     Placement at(scene, 150);
     const auto matrix = make(150);
@@ -56,7 +56,7 @@ TEST_P(BounceMatrixTest, IsTheDirectSolutionAfterAnyWalkWithBlocksOfAnySize) {
 }
 
 TEST_P(BounceMatrixTest, BlocksOfChangingSizesThatLeaveHolesAndRefillThem) {
-  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 30, .seed = 4});
+  const SceneRows scene = makeScene({.patches = 300, .entries_per_row = 30, .seed = 4});
   Placement at(scene, 300);
   const auto matrix = make(300);
   std::mt19937_64 random(9);
@@ -81,7 +81,7 @@ TEST_P(BounceMatrixTest, BlocksOfChangingSizesThatLeaveHolesAndRefillThem) {
 }
 
 TEST_P(BounceMatrixTest, LeavesMoreThanABlockAtOnceAndComesBackToEmpty) {
-  const PatchSet scene = makeScene({.patches = 200, .entries_per_row = 30, .seed = 5});
+  const SceneRows scene = makeScene({.patches = 200, .entries_per_row = 30, .seed = 5});
   Placement at(scene, 200);
   const auto matrix = make(200);
   enter(*matrix, at, upTo(200), 64);
@@ -97,7 +97,7 @@ TEST_P(BounceMatrixTest, LeavesMoreThanABlockAtOnceAndComesBackToEmpty) {
 }
 
 TEST_P(BounceMatrixTest, FreePlacesAreDarkAndSendNothing) {
-  const PatchSet scene = makeScene({.patches = 100, .entries_per_row = 20});
+  const SceneRows scene = makeScene({.patches = 100, .entries_per_row = 20});
   Placement at(scene, 128);
   const auto matrix = make(128);
   enter(*matrix, at, upTo(100), 50);
@@ -112,7 +112,7 @@ TEST_P(BounceMatrixTest, FreePlacesAreDarkAndSendNothing) {
 }
 
 TEST_P(BounceMatrixTest, ClearForgetsEverything) {
-  const PatchSet scene = makeScene({.patches = 100, .entries_per_row = 20});
+  const SceneRows scene = makeScene({.patches = 100, .entries_per_row = 20});
   Placement first(scene, 100), second(scene, 100);
   const auto matrix = make(100, true);
   enter(*matrix, first, upTo(100), 64);
@@ -124,7 +124,7 @@ TEST_P(BounceMatrixTest, ClearForgetsEverything) {
 }
 
 TEST_P(BounceMatrixTest, AnUpdateSpreadOverFramesIsExactAtEveryFrontier) {
-  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 30, .seed = 2});
+  const SceneRows scene = makeScene({.patches = 300, .entries_per_row = 30, .seed = 2});
   Placement at(scene, 200);
   const auto matrix = make(200, true);
   enter(*matrix, at, upTo(180), 64);
@@ -158,7 +158,7 @@ TEST_P(BounceMatrixTest, AnUpdateSpreadOverFramesIsExactAtEveryFrontier) {
 }
 
 TEST_P(BounceMatrixTest, ChangingSomeLightsGivesWhatLightingAnewGives) {
-  const PatchSet scene = makeScene({.patches = 200, .entries_per_row = 30, .seed = 3});
+  const SceneRows scene = makeScene({.patches = 200, .entries_per_row = 30, .seed = 3});
   Placement at(scene, 200);
   const auto matrix = make(200, true);
   enter(*matrix, at, upTo(190), 64);  // the last block stays pending
@@ -184,7 +184,7 @@ TEST_P(BounceMatrixTest, TakesPatchesThatNobodySeesThatSeeNothingAndThatAreThere
     std::erase_if(row, [](const auto& entry) { return entry.first == 5; });
   rows[6].clear();    // sees only sky
   rows[8] = rows[7];  // the same receiver twice
-  const PatchSet scene = makePatchSet(rows, makeAlbedos(settings));
+  const SceneRows scene = makeSceneRows(rows, makeAlbedos(settings));
   Placement placement(scene, 120);
   const auto matrix = make(120);
   enter(*matrix, placement, upTo(120), 11);
@@ -196,7 +196,7 @@ TEST_P(BounceMatrixTest, TakesPatchesThatNobodySeesThatSeeNothingAndThatAreThere
 
 // Pairs that send each other 98 % or more of their light and reflect 98 %: S C = 0.96, light multiplied 25-fold.
 TEST_P(BounceMatrixTest, TinyEnclosuresThatKeepAlmostAllLight) {
-  const PatchSet scene =
+  const SceneRows scene =
       makeScene({.kind = SceneKind::kEnclosures, .patches = 200, .entries_per_row = 20, .albedo = 0.98f});
   Placement at(scene, 160);
   const auto matrix = make(160);
@@ -216,7 +216,7 @@ TEST_P(BounceMatrixTest, TinyEnclosuresThatKeepAlmostAllLight) {
 // 1 / (1 - rho) times larger: together its square, averaged over the entries of a row.
 TEST_P(BounceMatrixTest, AClosedBoxHoldsExactlyItsEnergyAndNeverMore) {
   for (const float albedo : {0.5f, 0.9f, 0.98f}) {
-    const PatchSet scene =
+    const SceneRows scene =
         makeScene({.kind = SceneKind::kClosedBox, .patches = 192, .entries_per_row = 60, .albedo = albedo});
     Placement at(scene, 192);
     const auto matrix = make(192);
@@ -243,7 +243,7 @@ TEST_P(BounceMatrixTest, AClosedBoxHoldsExactlyItsEnergyAndNeverMore) {
 // 0.999 in a closed box is past what fp16 can carry through comings and goings, and costs fp32 its last digits. What is
 // asked: a block is taken or refused with a message, nothing is ever NaN or glows, and fp32 takes all of them.
 TEST_P(BounceMatrixTest, WhereLightIsMultipliedAThousandfoldABlockIsTakenOrRefusedAndNothingGlows) {
-  const PatchSet scene =
+  const SceneRows scene =
       makeScene({.kind = SceneKind::kClosedBox, .patches = 192, .entries_per_row = 60, .albedo = 0.999f});
   const bool fp32 = GetParam().storage == Storage::kFloat32;
   Placement at(scene, 192);
@@ -289,7 +289,7 @@ TEST_P(BounceMatrixTest, WhereLightIsMultipliedAThousandfoldABlockIsTakenOrRefus
 
 TEST_P(BounceMatrixTest, LowersAlbedosOnlyWhereAllLightWouldBeKept) {
   // White all over, but 8 % of the light leaves: nothing to lower.
-  const PatchSet open = makeScene({.patches = 100, .entries_per_row = 20, .albedo = 1});
+  const SceneRows open = makeScene({.patches = 100, .entries_per_row = 20, .albedo = 1});
   Placement in_open(open, 100);
   const auto lit = make(100);
   enter(*lit, in_open, upTo(100), 20);
@@ -297,7 +297,7 @@ TEST_P(BounceMatrixTest, LowersAlbedosOnlyWhereAllLightWouldBeKept) {
   const std::vector<Vec4> source = randomLight(100, 1);
   EXPECT_LE(relativeError(relit(*lit, source), exactIrradiance(in_open, source)), 12 * GetParam().tolerance());
   // Closed and white: without lowering the light would have no bound.
-  const PatchSet closed =
+  const SceneRows closed =
       makeScene({.kind = SceneKind::kClosedBox, .patches = 100, .entries_per_row = 20, .albedo = 1});
   Placement in_closed(closed, 100);
   const auto white = make(100);
@@ -318,7 +318,7 @@ TEST_P(BounceMatrixTest, LowersAlbedosOnlyWhereAllLightWouldBeKept) {
 }
 
 TEST_P(BounceMatrixTest, RefusesABlockThatWouldCatchLightAndStaysAsItWas) {
-  const PatchSet scene = makeScene({.patches = 60, .entries_per_row = 20});
+  const SceneRows scene = makeScene({.patches = 60, .entries_per_row = 20});
   Placement at(scene, 64);
   const auto matrix = make(64);
   enter(*matrix, at, upTo(60), 20);

@@ -15,7 +15,7 @@ INSTANTIATE_TEST_SUITE_P(Cpu, BounceMatrixTest,
                          [](const auto& test) { return test.param.name; });
 
 TEST(CpuMultibounce, HasTheSameBitsForAnyNumberOfThreadsSlicedOrNot) {
-  const PatchSet scene = makeScene({.patches = 700, .entries_per_row = 50});
+  const SceneRows scene = makeScene({.patches = 700, .entries_per_row = 50});
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     std::vector<std::vector<Vec4>> lit;
     for (const int threads : {1, 2, 5})
@@ -44,7 +44,7 @@ TEST(CpuMultibounce, HasTheSameBitsForAnyNumberOfThreadsSlicedOrNot) {
 
 // Updates go on from factors that are not in the matrix yet, up to kMaxRank of them; a refused one leaves them alone.
 TEST(CpuMultibounce, ManySmallUpdatesShareAPassAndAreExactInBetween) {
-  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 40});
+  const SceneRows scene = makeScene({.patches = 300, .entries_per_row = 40});
   auto made = makeCpuMultibounce({.places = 200, .time_slice = true, .threads = 2});
   ASSERT_TRUE(made);
   Placement at(scene, 200);
@@ -80,7 +80,7 @@ TEST(CpuMultibounce, ManySmallUpdatesShareAPassAndAreExactInBetween) {
 
 // The oscillation is the worst walk: nodes that stay gather the rounding of every update.
 TEST(CpuMultibounce, AHundredThousandSwapsLeaveNoTrace) {
-  const PatchSet scene = makeScene({.patches = 512, .entries_per_row = 60});
+  const SceneRows scene = makeScene({.patches = 512, .entries_per_row = 60});
   const std::vector<Vec4> source = randomLight(256, 1);
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     auto made = makeCpuMultibounce({.places = 256, .storage = storage, .threads = 2});
@@ -99,7 +99,7 @@ TEST(CpuMultibounce, AHundredThousandSwapsLeaveNoTrace) {
 }
 
 TEST(CpuMultibounce, TakesNoMemoryAfterItWasMade) {
-  const PatchSet scene = makeScene({.patches = 300, .entries_per_row = 30});
+  const SceneRows scene = makeScene({.patches = 300, .entries_per_row = 30});
   for (const bool luminance : {false, true}) {
     auto made = makeCpuMultibounce({.places = 200, .luminance = luminance, .time_slice = true, .threads = 1});
     ASSERT_TRUE(made);

@@ -57,7 +57,7 @@ class PaperByHand {
 
 TEST(CpuSeed, DoesWhatTheEquationsSayAlsoWhenBlocksEnterAndLeave) {
   const uint32_t n = 90;
-  const PatchSet scene = makeScene({.patches = n, .entries_per_row = 20});
+  const SceneRows scene = makeScene({.patches = n, .entries_per_row = 20});
   std::vector<double> f(n * n);
   for (uint32_t i = 0; i < n; ++i)
     for (uint32_t e = scene.row_start[i]; e < scene.row_start[i + 1]; ++e)
@@ -95,7 +95,7 @@ TEST(CpuSeed, DoesWhatTheEquationsSayAlsoWhenBlocksEnterAndLeave) {
 }
 
 TEST(CpuSeed, DriftsWhereTheExactMatrixDoesNot) {
-  const PatchSet scene = makeScene({.patches = 400, .entries_per_row = 60});
+  const SceneRows scene = makeScene({.patches = 400, .entries_per_row = 60});
   Placement at(scene, 200);
   const auto matrix = seed(200);
   Walk walk(WalkKind::kStraight, 400, 200, 8, 1);
@@ -114,7 +114,7 @@ TEST(CpuSeed, DriftsWhereTheExactMatrixDoesNot) {
 }
 
 TEST(CpuSeed, ChangingSomeLightsGivesWhatLightingAnewGives) {
-  const PatchSet scene = makeScene({.patches = 100, .entries_per_row = 20});
+  const SceneRows scene = makeScene({.patches = 100, .entries_per_row = 20});
   Placement at(scene, 100);
   const auto matrix = seed(100);
   enter(*matrix, at, upTo(90), 64);
@@ -128,7 +128,7 @@ TEST(CpuSeed, ChangingSomeLightsGivesWhatLightingAnewGives) {
 }
 
 TEST(CpuPlainLocal, IsTheFirstBouncesOfTheExactSolution) {
-  const PatchSet scene = makeScene({.patches = 200, .entries_per_row = 30});
+  const SceneRows scene = makeScene({.patches = 200, .entries_per_row = 30});
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     Placement at(scene, 160);
     auto made = makeCpuPlainLocal({.places = 160, .storage = storage, .threads = 2}, 60);  // 0.75^60 = 3e-8

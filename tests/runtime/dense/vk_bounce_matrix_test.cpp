@@ -63,7 +63,7 @@ class VkBounceMatrix : public ValidatedVulkan {
   }
   void walks(WalkKind kind, Storage storage, SceneSettings scene, uint32_t places, uint32_t block, int steps,
              bool time_slice = false) {
-    const PatchSet set = makeScene(scene);
+    const SceneRows set = makeScene(scene);
     auto matrix = make({.places = places, .storage = storage, .time_slice = time_slice});
     ASSERT_TRUE(matrix);
     Placement at(set, places);
@@ -88,7 +88,7 @@ TEST_F(VkBounceMatrix, EqualsADirectSolveForEveryStorageAndRaggedSize) {
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16})
     for (const uint32_t patches : {1u, 5u, 64u, 65u, 131u}) {
       SCOPED_TRACE(patches);
-      const PatchSet set = makeScene({.patches = patches, .entries_per_row = 40, .seed = patches});
+      const SceneRows set = makeScene({.patches = patches, .entries_per_row = 40, .seed = patches});
       auto matrix = make({.places = patches, .storage = storage});
       ASSERT_TRUE(matrix);
       Placement at(set, patches);
@@ -101,7 +101,7 @@ TEST_F(VkBounceMatrix, EqualsADirectSolveForEveryStorageAndRaggedSize) {
 }
 
 TEST_F(VkBounceMatrix, TakesBlocksOfEverySizeInAnyOrder) {
-  const PatchSet set = makeScene({.patches = 70, .entries_per_row = 30});
+  const SceneRows set = makeScene({.patches = 70, .entries_per_row = 30});
   for (const uint32_t block : {1u, 3u, 33u, 64u}) {
     auto matrix = make({.places = 70});
     ASSERT_TRUE(matrix);
@@ -126,7 +126,7 @@ TEST_F(VkBounceMatrix, IsAFunctionOfTheCutAfterEveryKindOfWalk) {
 TEST_F(VkBounceMatrix, HoldsInClosedRoomsOfPalePaint) {
   for (const float albedo : {0.5f, 0.9f, 0.98f, 0.999f}) {
     SCOPED_TRACE(albedo);
-    const PatchSet set = makeScene({.kind = SceneKind::kClosedBox, .patches = 64, .entries_per_row = 40, .albedo = albedo});
+    const SceneRows set = makeScene({.kind = SceneKind::kClosedBox, .patches = 64, .entries_per_row = 40, .albedo = albedo});
     auto matrix = make({.places = 64});
     ASSERT_TRUE(matrix);
     Placement at(set, 64);
@@ -145,7 +145,7 @@ TEST_F(VkBounceMatrix, HoldsInClosedRoomsOfPalePaint) {
 }
 
 TEST_F(VkBounceMatrix, AgreesWithTheCpuStepByStep) {
-  const PatchSet set = makeScene({.patches = 160, .entries_per_row = 40});
+  const SceneRows set = makeScene({.patches = 160, .entries_per_row = 40});
   for (const bool luminance : {false, true})
     for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
       const MultibounceSettings settings{.places = 90, .storage = storage, .luminance = luminance, .threads = 1};
@@ -174,7 +174,7 @@ TEST_F(VkBounceMatrix, AgreesWithTheCpuStepByStep) {
 TEST_F(VkBounceMatrix, IsExactWhileAnUpdateIsUnderWay) {
   const SceneSettings scene{.patches = 300, .entries_per_row = 40};
   walks(WalkKind::kRandom, Storage::kFloat32, scene, 100, 8, 17, /*time_slice=*/true);
-  const PatchSet set = makeScene(scene);
+  const SceneRows set = makeScene(scene);
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     auto matrix = make({.places = 150, .storage = storage, .time_slice = true});
     ASSERT_TRUE(matrix);
@@ -198,7 +198,7 @@ TEST_F(VkBounceMatrix, IsExactWhileAnUpdateIsUnderWay) {
 }
 
 TEST_F(VkBounceMatrix, AddsOnlyTheLightsThatChanged) {
-  const PatchSet set = makeScene({.patches = 200, .entries_per_row = 40});
+  const SceneRows set = makeScene({.patches = 200, .entries_per_row = 40});
   for (const bool time_slice : {false, true})
     for (const uint32_t changed : {1u, 5u, 24u, 150u}) {
       auto matrix = make({.places = 200, .time_slice = time_slice});
@@ -225,7 +225,7 @@ TEST_F(VkBounceMatrix, AddsOnlyTheLightsThatChanged) {
 // Three products with the matrix of the mean albedo leave the third power of the colours' deviation; colours between 0.2
 // and 0.8 are as far apart as these.
 TEST_F(VkBounceMatrix, ALuminanceMatrixKeepsColoursNearly) {
-  const PatchSet set = makeScene({.patches = 150, .entries_per_row = 40});
+  const SceneRows set = makeScene({.patches = 150, .entries_per_row = 40});
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     auto matrix = make({.places = 150, .storage = storage, .luminance = true});
     ASSERT_TRUE(matrix);
@@ -239,7 +239,7 @@ TEST_F(VkBounceMatrix, ALuminanceMatrixKeepsColoursNearly) {
     EXPECT_EQ(matrix->bytes() * 3, three->bytes());
   }
   SceneSettings grey{.patches = 150, .entries_per_row = 40, .albedo = 0.6f};
-  const PatchSet grey_set = makeScene(grey);
+  const SceneRows grey_set = makeScene(grey);
   auto matrix = make({.places = 150, .luminance = true});
   ASSERT_TRUE(matrix);
   Placement at(grey_set, 150);
@@ -254,7 +254,7 @@ TEST_F(VkBounceMatrix, RefusesNodesThatCatchAllLightAndStaysAsItWas) {
   rows.push_back({{100, 1.0f}});
   std::vector<Vec4> albedo = makeAlbedos({.patches = 102});
   albedo[100] = albedo[101] = {0.9999f, 0.9995f, 0.5f, 0};
-  const PatchSet set = makePatchSet(rows, albedo);
+  const SceneRows set = makeSceneRows(rows, albedo);
   auto matrix = make({.places = 102});
   ASSERT_TRUE(matrix);
   Placement at(set, 102);
@@ -272,7 +272,7 @@ TEST_F(VkBounceMatrix, RefusesNodesThatCatchAllLightAndStaysAsItWas) {
   rows[100] = {{101, 2.0f}};
   rows[101] = {{100, 2.0f}};
   albedo[100] = albedo[101] = {0.5f, 0.5f, 0.5f, 0};
-  const PatchSet impossible = makePatchSet(rows, albedo);
+  const SceneRows impossible = makeSceneRows(rows, albedo);
   Placement there(impossible, 102);
   auto second = make({.places = 102});
   ASSERT_TRUE(second);
@@ -286,7 +286,7 @@ TEST_F(VkBounceMatrix, RefusesNodesThatCatchAllLightAndStaysAsItWas) {
 }
 
 TEST_F(VkBounceMatrix, RefusesNumbersThatAreNone) {
-  const PatchSet set = makeScene({.patches = 10, .entries_per_row = 4});
+  const SceneRows set = makeScene({.patches = 10, .entries_per_row = 4});
   auto matrix = make({.places = 10});
   ASSERT_TRUE(matrix);
   Placement at(set, 10);
@@ -298,7 +298,7 @@ TEST_F(VkBounceMatrix, RefusesNumbersThatAreNone) {
 }
 
 TEST_F(VkBounceMatrix, ForgetsAllWhenCleared) {
-  const PatchSet set = makeScene({.patches = 90, .entries_per_row = 30});
+  const SceneRows set = makeScene({.patches = 90, .entries_per_row = 30});
   auto matrix = make({.places = 90});
   ASSERT_TRUE(matrix);
   Placement first(set, 90);
@@ -318,7 +318,7 @@ TEST_F(VkBounceMatrix, RefusesAMatrixThatTheDeviceCannotBind) {
 }
 
 TEST_F(VkBounceMatrix, GivesTheSameBitsEveryTime) {
-  const PatchSet set = makeScene({.patches = 200, .entries_per_row = 60});
+  const SceneRows set = makeScene({.patches = 200, .entries_per_row = 60});
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16}) {
     std::vector<Vec4> first;
     for (int repeat = 0; repeat < 12; ++repeat) {
@@ -344,7 +344,7 @@ TEST_F(VkBounceMatrix, GivesTheSameBitsEveryTime) {
 // Both round the same numbers to fp16 at the same steps, of sums that differ in the order of their terms: now and then
 // one of two neighbours of fp16, 2^-11 apart, is taken. So they agree far better than either agrees with the truth.
 TEST_F(VkBounceMatrix, TheSeedAgreesWithTheCpuStepByStep) {
-  const PatchSet set = makeScene({.patches = 160, .entries_per_row = 40});
+  const SceneRows set = makeScene({.patches = 160, .entries_per_row = 40});
   for (const uint32_t places : {1u, 17u, 90u, 129u}) {
     SCOPED_TRACE(places);
     auto vulkan = makeVulkanSeed(context_, {.places = places});
@@ -378,7 +378,7 @@ TEST_F(VkBounceMatrix, TheSeedAgreesWithTheCpuStepByStep) {
 }
 
 TEST_F(VkBounceMatrix, PlainLocalRadiosityAgreesWithTheCpu) {
-  const PatchSet set = makeScene({.patches = 160, .entries_per_row = 40});
+  const SceneRows set = makeScene({.patches = 160, .entries_per_row = 40});
   for (const Storage storage : {Storage::kFloat32, Storage::kFloat16})
     for (const int bounces : {1, 2, 3, 8}) {
       const MultibounceSettings settings{.places = 101, .storage = storage, .threads = 1};

@@ -82,7 +82,7 @@ TEST(WalkMatrix, KeepsRowSumsWhenItCountsAndLosesNoEntry) {
 
 // Two ways to one answer: elimination and Gauss-Seidel.
 TEST(WalkMatrix, EliminationAndIterationAgree) {
-  const walks::PatchSet set = quantisedScene({.patches = 60, .entries_per_row = 20});
+  const walks::SceneRows set = quantisedScene({.patches = 60, .entries_per_row = 20});
   const std::vector<runtime::Vec4> light = walks::randomLight(60, 3);
   std::vector<uint32_t> present(40);
   std::iota(present.begin(), present.end(), 10u);

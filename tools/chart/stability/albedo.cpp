@@ -26,7 +26,7 @@ struct Gathered {
   double after_three = 0, after_viewers = 0, settled = 0;
 };
 
-Result<Gathered> gatherFromDark(const PatchSet& set, std::span<const uint32_t> present, std::span<const Vec4> light,
+Result<Gathered> gatherFromDark(const SceneRows& set, std::span<const uint32_t> present, std::span<const Vec4> light,
                                 std::span<const Rgb> exact, int threads) {
   WalkMatrix rows(set);
   rows.set(present, {}, present);
@@ -102,7 +102,7 @@ Result<StabilityPart> stabilityOfAlbedo(const StabilityOptions& options, const S
       for (const Measured::Point& p : m.points) most = std::max(most, p.error);
       add(m.method, rho, most, "at albedo " + numberText(rho) + ": " + m.then);
     }
-    const PatchSet set = quantisedScene(scene);
+    const SceneRows set = quantisedScene(scene);
     const std::vector<Vec4> light = randomLight(set.patches(), options.seed + 7);
     std::vector<uint32_t> present(set.patches());
     for (uint32_t p = 0; p < set.patches(); ++p) present[p] = p;

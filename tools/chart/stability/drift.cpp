@@ -42,7 +42,7 @@ class Walker {
 // A dense matrix and nothing around it.
 class Bare final : public Walker {
  public:
-  Bare(const PatchSet& set, std::span<const Vec4> light, std::unique_ptr<BounceMatrix> matrix)
+  Bare(const SceneRows& set, std::span<const Vec4> light, std::unique_ptr<BounceMatrix> matrix)
       : set_(set),
         light_(light),
         matrix_(std::move(matrix)),
@@ -98,7 +98,7 @@ class Bare final : public Walker {
     return {};
   }
 
-  const PatchSet& set_;
+  const SceneRows& set_;
   std::span<const Vec4> light_;
   std::unique_ptr<BounceMatrix> matrix_;
   std::unique_ptr<Placement> at_;
@@ -110,7 +110,7 @@ class Bare final : public Walker {
 // The solver as a frame uses it: one correction a step, its probe, its rebuilding.
 class Corrected final : public Walker {
  public:
-  Corrected(const PatchSet& set, std::span<const Vec4> light, std::unique_ptr<BounceMatrix> matrix, int threads)
+  Corrected(const SceneRows& set, std::span<const Vec4> light, std::unique_ptr<BounceMatrix> matrix, int threads)
       : set_(set), light_(light), rows_(set), solver_(makeDenseSolver(std::move(matrix), {.threads = threads})) {}
 
   Result<void> step(const Walk::Step& step, std::span<const uint32_t> present) override {
@@ -146,13 +146,13 @@ class Corrected final : public Walker {
   }
 
  private:
-  const PatchSet& set_;
+  const SceneRows& set_;
   std::span<const Vec4> light_;
   WalkMatrix rows_;
   std::unique_ptr<DenseSolver> solver_;
 };
 
-Result<std::vector<std::unique_ptr<Walker>>> walkersOf(const WalkCase& walk, const PatchSet& set,
+Result<std::vector<std::unique_ptr<Walker>>> walkersOf(const WalkCase& walk, const SceneRows& set,
                                                        std::span<const Vec4> light, int threads) {
   std::vector<std::unique_ptr<Walker>> walkers;
   const auto add = [&](const char* name, Result<std::unique_ptr<BounceMatrix>> matrix, bool corrected,
@@ -182,7 +182,7 @@ Result<std::vector<std::unique_ptr<Walker>>> walkersOf(const WalkCase& walk, con
 }  // namespace
 
 Result<std::vector<Measured>> measureWalk(const WalkCase& walk, int threads) {
-  const PatchSet set = quantisedScene(walk.scene);
+  const SceneRows set = quantisedScene(walk.scene);
   const std::vector<Vec4> light = randomLight(set.patches(), walk.scene.seed + 7);
   auto walkers = walkersOf(walk, set, light, threads);
   if (!walkers) return walkers.error();

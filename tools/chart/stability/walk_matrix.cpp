@@ -17,11 +17,11 @@ constexpr uint32_t kMaxEliminated = 512;
 
 double channel(const Vec4& v, size_t c) { return static_cast<double>(c == 0 ? v.x : c == 1 ? v.y : v.z); }
 
-bool isGrey(const PatchSet& set) {
+bool isGrey(const SceneRows& set) {
   return std::ranges::all_of(set.albedo, [](const Vec4& a) { return a.x == a.y && a.y == a.z; });
 }
 
-std::vector<Rgb> byElimination(const PatchSet& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
+std::vector<Rgb> byElimination(const SceneRows& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
   const auto n = static_cast<Eigen::Index>(present.size());
   std::vector<Eigen::Index> number(set.patches(), -1);
   for (Eigen::Index i = 0; i < n; ++i) number[present[static_cast<size_t>(i)]] = i;
@@ -49,7 +49,7 @@ std::vector<Rgb> byElimination(const PatchSet& set, std::span<const uint32_t> pr
   return reflected;
 }
 
-std::vector<Rgb> byIteration(const PatchSet& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
+std::vector<Rgb> byIteration(const SceneRows& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
   Placement at(set, static_cast<uint32_t>(present.size()));
   (void)at.enter(present);
   std::vector<Vec4> source(at.places());
@@ -89,11 +89,11 @@ std::vector<FormFactorRow> quantised(std::span<const FormFactorRow> rows) {
   return result;
 }
 
-PatchSet quantisedScene(const SceneSettings& settings) {
-  return makePatchSet(quantised(makeRows(settings)), makeAlbedos(settings));
+SceneRows quantisedScene(const SceneSettings& settings) {
+  return makeSceneRows(quantised(makeRows(settings)), makeAlbedos(settings));
 }
 
-WalkMatrix::WalkMatrix(const PatchSet& set) : set_(set), in_(set.patches(), 0) {
+WalkMatrix::WalkMatrix(const SceneRows& set) : set_(set), in_(set.patches(), 0) {
   const uint32_t slots = set.patches();
   matrix_.row_scale.assign(slots, 1.0f / static_cast<float>(kWalkQuanta));
   matrix_.albedo = set.albedo;
@@ -135,7 +135,7 @@ void WalkMatrix::set(std::span<const uint32_t> present, std::span<const uint32_t
   std::iota(change_.rows.begin(), change_.rows.end(), 0u);
 }
 
-std::vector<Rgb> exactReflected(const PatchSet& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
+std::vector<Rgb> exactReflected(const SceneRows& set, std::span<const uint32_t> present, std::span<const Vec4> light) {
   return present.size() <= kMaxEliminated ? byElimination(set, present, light) : byIteration(set, present, light);
 }
 

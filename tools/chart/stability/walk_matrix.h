@@ -14,12 +14,12 @@ inline constexpr uint32_t kWalkQuanta = 32768;  // a power of two: count / Q is 
 std::vector<walks::FormFactorRow> quantised(std::span<const walks::FormFactorRow> rows);
 
 // makeScene (walks.h) with quantised rows: what every solver computes with is the same to the last bit.
-walks::PatchSet quantisedScene(const walks::SceneSettings& settings);
+walks::SceneRows quantisedScene(const walks::SceneSettings& settings);
 
 // A local matrix of one level whose slots are the scene's patches; those that are present are its leaves, each a tile.
 class WalkMatrix {
  public:
-  explicit WalkMatrix(const walks::PatchSet& set);
+  explicit WalkMatrix(const walks::SceneRows& set);
   // present: ascending. What has changed since the last call is change(); a patch that left and came back is in both of
   // its lists.
   void set(std::span<const uint32_t> present, std::span<const uint32_t> left, std::span<const uint32_t> entered);
@@ -27,7 +27,7 @@ class WalkMatrix {
   const runtime::MatrixChange& change() const { return change_; }
 
  private:
-  const walks::PatchSet& set_;
+  const walks::SceneRows& set_;
   std::vector<uint8_t> in_;
   runtime::LocalMatrix matrix_;
   runtime::MatrixChange change_;
@@ -35,7 +35,7 @@ class WalkMatrix {
 
 // Reflected radiosity rho E of every patch among those present, double precision; light: M by patch. Up to 512 patches
 // by elimination, which does not care how near to 1 the albedos are; above by iteration to 1e-13.
-std::vector<walks::Rgb> exactReflected(const walks::PatchSet& set, std::span<const uint32_t> present,
+std::vector<walks::Rgb> exactReflected(const walks::SceneRows& set, std::span<const uint32_t> present,
                                          std::span<const runtime::Vec4> light);
 
 // ||a - b|| / ||b|| over the patches present; infinity where a is not finite.

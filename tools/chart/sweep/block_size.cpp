@@ -23,7 +23,7 @@ struct Moving {
   std::deque<uint32_t> inside;
   uint32_t next = 0;
 
-  Moving(std::unique_ptr<BounceMatrix> m, const PatchSet& set) : matrix(std::move(m)), placement(set, matrix->capacity()) {}
+  Moving(std::unique_ptr<BounceMatrix> m, const SceneRows& set) : matrix(std::move(m)), placement(set, matrix->capacity()) {}
 
   Result<void> enter(uint32_t count) {
     std::vector<uint32_t> patches(count);
@@ -51,7 +51,7 @@ struct Moving {
 }  // namespace
 
 Result<Chart> blockSizeChart(uint32_t places, int rounds) {
-  const PatchSet set = makeScene({.patches = 2 * places});
+  const SceneRows set = makeScene({.patches = 2 * places});
   MultibounceSettings settings;
   settings.places = places;
   std::vector<Moving> all;
