@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "formats/vec3.h"
+
 namespace ff::bake {
 
 struct FoundPlace {
@@ -27,6 +29,19 @@ struct Finding {
 };
 
 inline constexpr size_t kMaxPlaces = 3;
+
+// A sum, and where the heaviest part of it is: the first of those that are as heavy.
+struct HeaviestPlace {
+  double sum = 0, heaviest = -1;
+  Vec3 at{};
+  void add(double weight, Vec3 where) { add({weight, weight, where}); }
+  void add(const HeaviestPlace& more) {
+    sum += more.sum;
+    if (!(more.heaviest > heaviest)) return;
+    heaviest = more.heaviest;
+    at = more.at;
+  }
+};
 
 // "1.5 0 -2.25": to the millimetre, as ffinspect locate takes it.
 std::string textOf(const std::array<double, 3>& at);

@@ -12,16 +12,12 @@ namespace {
 
 // Of one material.
 struct Covered {
-  double m2 = 0, largest_m2 = 0;  // of a triangle
+  HeaviestPlace m2;  // the middle of the largest triangle
   uint64_t triangles = 0;
-  std::optional<std::array<double, 3>> at;  // the middle of that
 
-  void add(const Scene& scene, double own_m2, Vec3 middle) {
-    m2 += own_m2;
+  void add(double own_m2, Vec3 middle) {
+    m2.add(own_m2, middle);
     ++triangles;
-    if (at && own_m2 <= largest_m2) return;
-    largest_m2 = own_m2;
-    at = inWorld(scene, middle);
   }
 };
 
@@ -32,19 +28,17 @@ std::string nameOf(const Scene& scene, uint32_t material) {
 
 // One for each name, largest area first.
 std::vector<FoundPlace> placesByArea(const Scene& scene, const std::map<uint32_t, Covered>& materials) {
-  std::map<std::string, Covered> by_name;
+  std::map<std::string, HeaviestPlace> by_name;
   double all = 0;
   for (const auto& [material, own] : materials) {
-    Covered& sum = by_name[nameOf(scene, material)];
-    if (!sum.at || own.largest_m2 > sum.largest_m2) {
-      sum.largest_m2 = own.largest_m2;
-      sum.at = own.at;
-    }
-    sum.m2 += own.m2;
-    all += own.m2;
+    by_name[nameOf(scene, material)].add(own.m2);
+    all += own.m2.sum;
   }
   std::vector<FoundPlace> places;
-  for (const auto& [name, sum] : by_name) places.push_back({sum.at, name, all > 0 ? sum.m2 / all : 0});
+  for (const auto& [name, sum] : by_name) {
+    FoundPlace& place = places.emplace_back(std::nullopt, name, all > 0 ? sum.sum / all : 0);
+    if (sum.heaviest >= 0) place.at = inWorld(scene, sum.at);
+  }
   std::stable_sort(places.begin(), places.end(), [](const FoundPlace& a, const FoundPlace& b) { return a.share > b.share; });
   return places;
 }
@@ -53,7 +47,7 @@ Finding findingOf(const Scene& scene, const std::string& what, const std::map<ui
   Finding finding{"not_modelled", what, 0, "triangles", 0, "surface"};
   for (const auto& [material, own] : materials) {
     finding.count += own.triangles;
-    finding.share += whole_m2 > 0 ? own.m2 / whole_m2 : 0;
+    finding.share += whole_m2 > 0 ? own.m2.sum / whole_m2 : 0;
   }
   finding.places = placesByArea(scene, materials);
   return finding;
@@ -66,7 +60,7 @@ std::vector<Finding> notModelled(const Scene& scene) {
   double whole = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const double m2 = static_cast<double>(triangleArea(scene, t));
-    of_material[scene.triangles[t].material].add(scene, m2, middleOf(scene, t));
+    of_material[scene.triangles[t].material].add(m2, middleOf(scene, t));
     whole += m2;
   }
   std::map<std::string, std::map<uint32_t, Covered>> lines;
@@ -95,7 +89,7 @@ std::optional<Finding> loweredAlbedos(const Scene& scene, const PatchSet& set, s
       of_triangle[t.source] += static_cast<double>(length(cross(t.b - t.a, t.c - t.a))) / 2;
     }
   }
-  for (const auto& [t, m2] : of_triangle) of_material[scene.triangles[t].material].add(scene, m2, middleOf(scene, t));
+  for (const auto& [t, m2] : of_triangle) of_material[scene.triangles[t].material].add(m2, middleOf(scene, t));
   for (const Patch& patch : set.patches) whole += static_cast<double>(patch.area_m2);
   Finding finding = findingOf(scene, "albedos of surfaces that would have reflected all they see back to what they see: lowered on " +
                               std::to_string(patches.size()) + (patches.size() == 1 ? " patch" : " patches"), of_material, 0);

@@ -95,4 +95,9 @@ struct Scene {
   std::array<uint8_t, 16> content_hash{};  // XXH3-128 of the above arrays: part of the bake key
 };
 
+// A place in the world, m.
+inline std::array<double, 3> inWorld(const Scene& scene, Vec3 p) {
+  return {scene.origin[0] + static_cast<double>(p.x), scene.origin[1] + static_cast<double>(p.y), scene.origin[2] + static_cast<double>(p.z)};
+}
+
 }  // namespace ff::bake

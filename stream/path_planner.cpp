@@ -62,9 +62,7 @@ Vec3 TurnRate::follow(Vec3 velocity, float seconds) {
 }
 
 PathPlanner::PathPlanner(const formats::World& world, const StreamSettings& settings, std::span<const formats::ChunkPtr> top)
-    : world_(world), settings_(settings), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
-  float radius = settings.radius_m;
-  for (size_t level = 0; level < world.levels().size(); ++level, radius *= settings.growth) radius_m_.push_back(radius);
+    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings)), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
   try {
     thread_ = std::thread([this] { work(); });
   } catch (const std::system_error&) {

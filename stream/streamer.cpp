@@ -248,26 +248,26 @@ class StreamerImpl final : public Streamer {
       const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
       const auto found = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
       if (found != next_active_.end() && (*found)->id == parent) return true;
-      if (failures_.empty() || !hasFailed(parent)) return false;
+      if (!givenUp(failures_, parent)) return false;
       chunk = chunk->parent.get();
       at = parent.tile - chunk->firstTile();
     }
     return true;
   }
-  bool hasFailed(TileId id) const {
-    const auto at = failures_.find(id);
-    return at != failures_.end() && at->second.times >= kGivenUp;
-  }
-
   using Failures = TileMap<Failure>;
   void fail(Failures& failures, TileId id) {
     Failure& failure = failures[id];
     stats_.failed += ++failure.times == kGivenUp;
     failure.retry_at = Clock::now() + retry_after_;
   }
-  static bool isGivenUp(const Failures& failures, TileId id) {
+  // Null: it has not failed so often.
+  static const Failure* givenUp(const Failures& failures, TileId id) {
     const auto at = failures.find(id);
-    return at != failures.end() && at->second.times >= kGivenUp && Clock::now() < at->second.retry_at;
+    return at != failures.end() && at->second.times >= kGivenUp ? &at->second : nullptr;
+  }
+  static bool isGivenUp(const Failures& failures, TileId id) {
+    const Failure* failure = givenUp(failures, id);
+    return failure && Clock::now() < failure->retry_at;
   }
   // Of what the observer has left: the next visit may try again.
   void forgetFailures() {

@@ -4,6 +4,7 @@
 #include <new>
 #include <utility>
 
+#include "stream/latency.h"
 #include "stream/start_threads.h"
 
 namespace ff::stream {
@@ -320,7 +321,7 @@ void StripLoader::arrive(TileId id, StripPtr strip, uint64_t stored_bytes) {
   if (since_taken_.size() < since_taken_.capacity()) since_taken_.emplace_back(arrivals_, id);  // else it may be read twice
   const auto at = std::ranges::find(under_way_, id, &UnderWay::id);
   const float took = std::chrono::duration<float>(std::chrono::steady_clock::now() - at->since).count();
-  latency_seconds_ = std::max(took, 0.98f * latency_seconds_.load());
+  latency_seconds_ = longestOfLate(latency_seconds_.load(), took);
   under_way_.erase(at);
   under_way_count_.fetch_sub(1);
   progress();

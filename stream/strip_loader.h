@@ -77,7 +77,7 @@ class StripLoader {
   Backlog backlog() const;
   // Tiles that were dropped from the queue after the loader's threads had seen them there.
   uint64_t cancelled() const { return cancelled_.load(); }
-  // From the start of a strip's read to its arrival, s: the longest of late, which a shorter one lowers by a fiftieth.
+  // From the start of a strip's read to its arrival, s: longestOfLate().
   float latencySeconds() const { return latency_seconds_.load(); }
   // The last strip that could not be read or decoded, as a line; empty: none yet. Allocates.
   std::string lastFailure() const;

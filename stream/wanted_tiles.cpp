@@ -27,15 +27,16 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
          info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }
 
+std::vector<float> radiiOf(const formats::World& world, const StreamSettings& settings) {
+  std::vector<float> radius_m(world.levels().size(), settings.radius_m);
+  for (size_t level = 1; level < radius_m.size(); ++level) radius_m[level] = radius_m[level - 1] * settings.growth;
+  return radius_m;
+}
+
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
-    : world_(world), settings_(settings) {
-  float radius = settings.radius_m;
+    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings)) {
   size_t tiles = 0;
-  for (const formats::LevelInfo& level : world.levels()) {
-    radius_m_.push_back(radius);
-    radius *= settings.growth;
-    tiles += level.tiles;
-  }
+  for (const formats::LevelInfo& level : world.levels()) tiles += level.tiles;
   // A tile has a node at least, and is offered once.
   max_wanted_ = std::min<size_t>(tiles, std::max(settings.max_nodes, world.levels().back().tiles));
   wanted_.reserve(max_wanted_);

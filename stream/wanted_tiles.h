@@ -15,6 +15,9 @@ namespace ff::stream {
 // Bytes in memory, at most, of a tile that is not decoded yet.
 uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo& info);
 
+// Within which a tile is wanted, m, by its level.
+std::vector<float> radiiOf(const formats::World& world, const StreamSettings& settings);
+
 // The wanted set; walks allocate nothing, but for a heap that outgrows kHeapAtFirst once. The top level is always wanted; another tile when its parent tile is and its bounds
 // are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget

@@ -33,10 +33,6 @@ std::string placeOf(const Scene& scene, uint32_t triangle) {
   return place + (name.empty() ? "material " + std::to_string(m) : "material \"" + name + "\"");
 }
 
-std::array<double, 3> inWorld(const Scene& scene, Vec3 p) {
-  return {scene.origin[0] + static_cast<double>(p.x), scene.origin[1] + static_cast<double>(p.y), scene.origin[2] + static_cast<double>(p.z)};
-}
-
 Vec3 middleOf(const Scene& scene, uint32_t triangle) {
   const auto& v = scene.triangles[triangle].v;
   return (scene.positions[v[0]] + scene.positions[v[1]] + scene.positions[v[2]]) / 3;
@@ -45,13 +41,9 @@ Vec3 middleOf(const Scene& scene, uint32_t triangle) {
 void PlaceSums::add(uint32_t triangle, double weight, Vec3 at) {
   const Object* object = objectOf(scene_, triangle);
   const std::pair key(object ? object->node : kNone, scene_.triangles[triangle].material);
-  Sum& sum = sums_.try_emplace(key, Sum{triangle, 0, -1, {}}).first->second;
-  sum.weight += weight;
+  Sum& sum = sums_.try_emplace(key, Sum{triangle, {}}).first->second;
+  sum.place.add(weight, at);
   sum.triangle = std::min(sum.triangle, triangle);
-  if (weight > sum.heaviest) {
-    sum.heaviest = weight;
-    sum.at = at;
-  }
 }
 
 void PlaceSums::putInto(Finding& finding) const {
@@ -59,14 +51,14 @@ void PlaceSums::putInto(Finding& finding) const {
   double all = 0;
   for (const auto& [key, sum] : sums_) {
     sums.push_back(sum);
-    all += sum.weight;
+    all += sum.place.sum;
   }
   std::sort(sums.begin(), sums.end(), [](const Sum& a, const Sum& b) {
-    return a.weight != b.weight ? a.weight > b.weight : a.triangle < b.triangle;
+    return a.place.sum != b.place.sum ? a.place.sum > b.place.sum : a.triangle < b.triangle;
   });
   finding.more_places = sums.size() - std::min(sums.size(), kMaxPlaces);
   sums.resize(std::min(sums.size(), kMaxPlaces));
-  for (const Sum& sum : sums) finding.places.push_back({inWorld(scene_, sum.at), placeOf(scene_, sum.triangle), all > 0 ? sum.weight / all : 1});
+  for (const Sum& sum : sums) finding.places.push_back({inWorld(scene_, sum.place.at), placeOf(scene_, sum.triangle), all > 0 ? sum.place.sum / all : 1});
 }
 
 std::vector<bool> matching(const Scene& scene, const std::string& pattern) {

@@ -17,7 +17,6 @@ const Object* objectOf(const Scene& scene, uint32_t triangle);
 // 'node "lamp 2", material "bulb"', with numbers for what has no name.
 std::string placeOf(const Scene& scene, uint32_t triangle);
 
-std::array<double, 3> inWorld(const Scene& scene, Vec3 p);
 Vec3 middleOf(const Scene& scene, uint32_t triangle);
 
 // Sums what is said of triangles by the object and material that they are of.
@@ -32,8 +31,7 @@ class PlaceSums {
  private:
   struct Sum {
     uint32_t triangle;  // the first
-    double weight, heaviest;
-    Vec3 at;
+    HeaviestPlace place;
   };
   const Scene& scene_;
   std::map<std::pair<uint32_t, uint32_t>, Sum> sums_;  // of (node or object, material)

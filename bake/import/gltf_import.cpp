@@ -227,7 +227,7 @@ class Builder {
     if (scene_.without_area_at.size() == kMaxPlaces) return;
     const std::string& name = scene_.node_names[static_cast<size_t>(node)];
     FoundPlace& place = scene_.without_area_at.emplace_back();
-    place.at = {scene_.origin[0] + double{at.x}, scene_.origin[1] + double{at.y}, scene_.origin[2] + double{at.z}};
+    place.at = inWorld(scene_, at);
     place.name = name.empty() ? "node " + std::to_string(node) : "node \"" + name + "\"";
   }
 

@@ -36,17 +36,12 @@ double distanceSquared(const Point& p, const Point& a, const Point& b, const Poi
 void LeakSums::add(const Leak& leak) {
   std::array<int32_t, 3> cube;
   for (int k = 0; k < 3; ++k) cube[static_cast<size_t>(k)] = static_cast<int32_t>(std::floor(leak.at[k] / cube_m_));
-  Sum& sum = cubes_[cube];
-  sum.m2 += static_cast<double>(leak.m2);
-  if (leak.m2 > sum.heaviest) {
-    sum.heaviest = leak.m2;
-    sum.at = leak.at;
-  }
+  cubes_[cube].add(static_cast<double>(leak.m2), leak.at);
 }
 
 std::vector<Leak> LeakSums::heaviest(size_t most) const {
   std::vector<Leak> leaks;
-  for (const auto& [cube, sum] : cubes_) leaks.push_back({sum.at, static_cast<float>(sum.m2)});
+  for (const auto& [cube, sum] : cubes_) leaks.push_back({sum.at, static_cast<float>(sum.sum)});
   std::stable_sort(leaks.begin(), leaks.end(), [](const Leak& a, const Leak& b) { return a.m2 > b.m2; });
   leaks.resize(std::min(leaks.size(), most));
   return leaks;

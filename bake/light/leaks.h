@@ -28,13 +28,8 @@ class LeakSums {
   void clear() { cubes_.clear(); }
 
  private:
-  struct Sum {
-    Vec3 at;
-    float heaviest = 0;
-    double m2 = 0;
-  };
   const float cube_m_;
-  std::map<std::array<int32_t, 3>, Sum> cubes_;
+  std::map<std::array<int32_t, 3>, HeaviestPlace> cubes_;
 };
 
 // The leaks of a scene as places: shares of whole_m2. Linear in the scene.

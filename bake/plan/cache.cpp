@@ -73,12 +73,7 @@ Result<std::unique_ptr<BakeCache>> BakeCache::open(const std::string& folder, ui
   std::filesystem::create_directories(folder, error);
   if (error) return Error{ErrorCode::kIo, folder, "", "the cache folder cannot be made: " + error.message(), "give another with --cache, or --no-cache"};
   std::unique_ptr<BakeCache> cache(new BakeCache(folder.ends_with('/') ? folder : folder + "/", limit_bytes, std::move(storage)));
-  const auto names = cache->storage_->list(folder);
-  if (!names) return names.error();
-  for (const std::string& name : *names) {
-    if (isUnit(name)) cache->bytes_ += sizeOf(cache->folder_ + name);
-    if (isHalf(name) && isAbandoned(cache->folder_, name)) (void)cache->storage_->remove(cache->folder_ + name);
-  }
+  if (auto looked = cache->look(folder, true); !looked) return looked.error();
   return cache;
 }
 
@@ -86,11 +81,18 @@ Result<std::unique_ptr<BakeCache>> BakeCache::peek(const std::string& folder, fo
   std::unique_ptr<BakeCache> cache(new BakeCache(folder.ends_with('/') ? folder : folder + "/", 0, std::move(storage)));
   std::error_code unknown;
   if (!std::filesystem::exists(folder, unknown)) return cache;
-  const auto names = cache->storage_->list(folder);
-  if (!names) return names.error();
-  for (const std::string& name : *names)
-    if (isUnit(name)) cache->bytes_ += sizeOf(cache->folder_ + name);
+  if (auto looked = cache->look(folder, false); !looked) return looked.error();
   return cache;
+}
+
+Result<void> BakeCache::look(const std::string& folder, bool tidy) {
+  const auto names = storage_->list(folder);
+  if (!names) return names.error();
+  for (const std::string& name : *names) {
+    if (isUnit(name)) bytes_ += sizeOf(folder_ + name);
+    if (tidy && isHalf(name) && isAbandoned(folder_, name)) (void)storage_->remove(folder_ + name);
+  }
+  return {};
 }
 
 void BakeCache::warn(const Error& error) {

@@ -47,6 +47,8 @@ class BakeCache {
 
  private:
   BakeCache(std::string folder, uint64_t limit_bytes, formats::StoragePtr storage);
+  // Counts what is there; tidy: removes what is half written and abandoned.
+  Result<void> look(const std::string& folder, bool tidy);
   void warn(const Error& error);
 
   const std::string folder_;  // ends with '/'

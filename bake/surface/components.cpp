@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "bake/surface/fineness.h"
+#include "bake/surface/grouped.h"
 #include "bake/surface/union_find.h"
 
 namespace ff::bake {
@@ -57,7 +58,7 @@ class Labeller {
     place_start_.push_back(sides_.size());
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) { extent_[i] = {piece(i).polygon, piece(i).cell, piece(i).fineness}; });
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { connect(place_start_[g], place_start_[g + 1]); });
-    listMembers();
+    members_ = Grouped(root_, sides_.size());
     if (done_) done_->expect(sides_.size());
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
       judge(i);
@@ -102,15 +103,11 @@ class Labeller {
     UnionFind sets(end - begin);
     const auto n = static_cast<uint32_t>(end - begin);
     if (n > 1) {
-      std::vector<std::pair<std::array<int32_t, 3>, uint32_t>> corners;
+      std::vector<std::pair<GridCorner, uint32_t>> corners;
       for (uint32_t i = 0; i < n; ++i) {
         if (isFenced(begin + i)) continue;
         const Cell cell = baseCell(piece(begin + i).cell, piece(begin + i).fineness);
-        for (const Point& p : piece(begin + i).polygon) {
-          std::array<int32_t, 3> q;
-          for (int a = 0; a < 3; ++a) q[static_cast<size_t>(a)] = static_cast<int32_t>(std::lround((p[a] - cell[a]) * 512));
-          corners.emplace_back(q, i);
-        }
+        for (const Point& p : piece(begin + i).polygon) corners.emplace_back(gridCorner(p, cell, 1), i);
       }
       std::sort(corners.begin(), corners.end());
       for (size_t k = 1; k < corners.size(); ++k)
@@ -155,20 +152,10 @@ class Labeller {
     }
   }
 
-  void listMembers() {
-    first_.assign(sides_.size() + 1, 0);
-    for (const uint32_t r : root_) ++first_[r + 1];
-    for (size_t i = 0; i < sides_.size(); ++i) first_[i + 1] += first_[i];
-    std::vector<uint32_t> next(first_.begin(), first_.end() - 1);
-    member_.resize(sides_.size());
-    for (uint32_t i = 0; i < sides_.size(); ++i) member_[next[root_[i]]++] = i;
-  }
-  std::span<const uint32_t> membersOf(size_t root) const { return {member_.data() + first_[root], member_.data() + first_[root + 1]}; }
-
   bool isSealed(size_t root) const {
     if (!sealed_) return false;
     std::vector<PieceSide> surface;
-    for (const uint32_t i : membersOf(root)) surface.push_back(at(i));
+    for (const uint32_t i : members_.of(root)) surface.push_back(at(i));
     return sealed_->isSealed(surface);
   }
 
@@ -176,7 +163,7 @@ class Labeller {
     if (root_[root] != root) return;
     double area = 0;
     Point moment;
-    for (const uint32_t i : membersOf(root)) {
+    for (const uint32_t i : members_.of(root)) {
       const double own = length(vectorArea(piece(i).polygon));
       area += own;
       moment = moment + middle(piece(i).polygon) * own;
@@ -191,7 +178,7 @@ class Labeller {
   // none.
   uint32_t goesOnIn(size_t crumb, const std::vector<uint32_t>& host) const {
     std::vector<std::pair<uint32_t, double>> hosts;
-    for (const uint32_t i : membersOf(crumb)) {
+    for (const uint32_t i : members_.of(crumb)) {
       const Polygon& polygon = piece(i).polygon;
       const Point area = vectorArea(polygon);
       if (!(length(area) > 0)) continue;
@@ -253,7 +240,7 @@ class Labeller {
   }
 
   bool sees(size_t crumb, size_t root) const {
-    const auto members = membersOf(crumb);
+    const auto members = members_.of(crumb);
     if (std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); })) return true;
     return fences_->sees(at(crumb), at(root));
   }
@@ -344,7 +331,7 @@ class Labeller {
   std::vector<double> area_;
   std::vector<Point> centre_;
   std::vector<PackedExtent> extent_;      // per side
-  std::vector<uint32_t> first_, member_;  // sides by component
+  Grouped members_;                       // sides by component
   std::vector<uint32_t> whole_;           // roots with a patch of their own, by place
 };
 

@@ -56,12 +56,8 @@ void dropDangling(const Polygon& polygon, double gap, std::vector<Segment>& fenc
   const size_t n = fences.size();
   std::vector<std::vector<uint32_t>> touching(n);
   std::vector<size_t> contacts(n, 0);
-  const auto apart = [&](const Segment& s, const Segment& t) {
-    for (int a = 0; a < 3; ++a)
-      if (std::min(s.a[a], s.b[a]) > std::max(t.a[a], t.b[a]) + gap || std::min(t.a[a], t.b[a]) > std::max(s.a[a], s.b[a]) + gap)
-        return true;
-    return false;
-  };
+  std::vector<Extent> around;
+  for (const Segment& s : fences) around.push_back(extentOf(std::array{s.a, s.b}));
   for (uint32_t i = 0; i < n; ++i) {
     for (const Point& end : {fences[i].a, fences[i].b})
       for (size_t k = 0; k < polygon.size(); ++k)
@@ -70,7 +66,7 @@ void dropDangling(const Polygon& polygon, double gap, std::vector<Segment>& fenc
           break;
         }
     for (uint32_t j = 0; j < i; ++j)
-      if (!apart(fences[i], fences[j]) && distance(fences[i], fences[j]) <= gap) {
+      if (!areApart(around[i], around[j], gap) && distance(fences[i], fences[j]) <= gap) {
         touching[i].push_back(j);
         touching[j].push_back(i);
       }

@@ -3,8 +3,10 @@
 // one base cell holds whole cells of a finer grid, and a cell of a coarser grid goes by the base cell at its middle.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cmath>
 
+#include "bake/point.h"
 #include "bake/scene.h"
 #include "bake/surface/hilbert.h"
 
@@ -33,6 +35,14 @@ inline uint16_t placeInBaseCell(Cell own, int fineness) {
   if (fineness <= 0) return 0;
   for (int32_t& x : own) x &= (1 << fineness) - 1;
   return static_cast<uint16_t>(hilbertKey(own) & ((1u << 3 * kMaxFineness) - 1));
+}
+
+// Where a corner lies in a grid of that edge (base cells), from the corner of one of its cells, in 1/512 of the edge: corners of which this is the same are one.
+using GridCorner = std::array<int32_t, 3>;
+inline GridCorner gridCorner(const Point& p, const Cell& from, double edge) {
+  GridCorner at;
+  for (size_t i = 0; i < 3; ++i) at[i] = static_cast<int32_t>(std::lround((p[static_cast<int>(i)] / edge - from[i]) * 512));
+  return at;
 }
 
 }  // namespace ff::bake

@@ -12,6 +12,7 @@
 
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/fineness.h"
+#include "bake/surface/grouped.h"
 #include "bake/surface/union_find.h"
 #include "formats/model.h"
 #include "formats/portable_math.h"
@@ -66,7 +67,7 @@ class Merger {
       : scene_(scene), caster_(caster.withoutHoles()), settings_(settings), pieces_(pieces), sides_(sides), labels_(labels), directions_(lookDirections()) {}
 
   void merge() {
-    listSides();
+    sides_of_ = Grouped(labels_.patch_of, labels_.home.size());  // sealed ones are of none
     known_.resize(labels_.home.size());
     tbb::parallel_for(size_t{0}, known_.size(), [&](size_t p) { known_[p] = know(p); });
     for (uint32_t p = 0; p < known_.size(); ++p) {
@@ -86,18 +87,6 @@ class Merger {
   }
 
  private:
-  void listSides() {
-    first_.assign(labels_.home.size() + 1, 0);
-    for (const uint32_t p : labels_.patch_of)
-      if (p != kSealed) ++first_[p + 1];
-    for (size_t p = 0; p + 1 < first_.size(); ++p) first_[p + 1] += first_[p];
-    std::vector<uint32_t> next(first_.begin(), first_.end() - 1);
-    side_.resize(first_.back());
-    for (uint32_t i = 0; i < sides_.size(); ++i)
-      if (labels_.patch_of[i] != kSealed) side_[next[labels_.patch_of[i]]++] = i;
-  }
-  std::span<const uint32_t> sidesOf(size_t patch) const { return std::span(side_).subspan(first_[patch], first_[patch + 1] - first_[patch]); }
-
   Vec3 metres(const Point& p) const { return vec3Of(p * static_cast<double>(settings_.cell_m)); }
 
   // What lets the same share of light pass everywhere has none.
@@ -107,7 +96,7 @@ class Merger {
     const Side& home = sides_[labels_.home[patch]];
     Looks looks;
     if (home.lamp_group != formats::kNoLampGroup || home.fineness > 0 || home.fineness == -kMaxFineness) return looks;
-    for (const uint32_t i : sidesOf(patch)) {
+    for (const uint32_t i : sides_of_.of(patch)) {
       const Piece& piece = pieces_[sides_[i].piece];
       const bool parted = piece.fenced[sides_[i].back] || piece.covered[sides_[i].back];
       if (parted || hasHoles(scene_.materials[scene_.triangles[piece.triangle].material]) || sides_[i].orientation != home.orientation || sides_[i].fineness != home.fineness) return looks;
@@ -115,7 +104,7 @@ class Merger {
     SurfaceMean mean(settings_.metals);
     Point normal;
     double largest = -1;
-    for (const uint32_t i : sidesOf(patch)) {
+    for (const uint32_t i : sides_of_.of(patch)) {
       const Piece& piece = pieces_[sides_[i].piece];
       const Point area = vectorArea(piece.polygon) * (sides_[i].back ? -1.0 : 1.0);
       normal = normal + area;
@@ -177,17 +166,12 @@ class Merger {
 
     // Pairs of parts that share two corners: a border. Pieces that meet in a grid plane were cut at the same points.
     void findBorders() {
-      using Corner = std::array<int32_t, 3>;
-      std::vector<std::pair<Corner, uint32_t>> corners;
+      std::vector<std::pair<GridCorner, uint32_t>> corners;
       const Cell from = m_.pieces_[m_.sides_[m_.labels_.home[parts_[0].patch]].piece].cell;
       const double edge = edgeCells(parts_[0].fineness);
       for (uint32_t i = 0; i < parts_.size(); ++i)
-        for (const uint32_t side : m_.sidesOf(parts_[i].patch))
-          for (const Point& p : m_.pieces_[m_.sides_[side].piece].polygon) {
-            Corner at;
-            for (int a = 0; a < 3; ++a) at[static_cast<size_t>(a)] = static_cast<int32_t>(std::lround((p[a] / edge - from[static_cast<size_t>(a)]) * 512));
-            corners.emplace_back(at, i);
-          }
+        for (const uint32_t side : m_.sides_of_.of(parts_[i].patch))
+          for (const Point& p : m_.pieces_[m_.sides_[side].piece].polygon) corners.emplace_back(gridCorner(p, from, edge), i);
       std::sort(corners.begin(), corners.end());
       corners.erase(std::unique(corners.begin(), corners.end()), corners.end());
       std::vector<std::pair<uint32_t, uint32_t>> pairs;
@@ -296,7 +280,7 @@ class Merger {
       Side side;
       uint32_t home;
       uint8_t doublings;
-      std::vector<uint32_t> const* parts;
+      std::span<const uint32_t> patches;  // before
     };
     std::vector<Place> places;
     std::vector<uint8_t> merged(labels_.home.size());
@@ -309,28 +293,23 @@ class Merger {
         side.fineness = static_cast<int16_t>(side.fineness - merge.doublings);
         side.key = hilbertKey(baseCell(cell, side.fineness));
         side.in_cell = 0;
-        places.push_back({side, home, static_cast<uint8_t>(merge.doublings), &merge.patches});
+        places.push_back({side, home, static_cast<uint8_t>(merge.doublings), merge.patches});
         for (const uint32_t p : merge.patches) merged[p] = 1;
       }
-    const size_t larger = places.size();
-    for (uint32_t p = 0; p < merged.size(); ++p)
-      if (!merged[p]) places.push_back({sides_[labels_.home[p]], labels_.home[p], 0, nullptr});
     std::vector<uint32_t> number(merged.size());
+    std::iota(number.begin(), number.end(), 0u);
+    const std::vector<uint32_t> before = number;
+    for (uint32_t p = 0; p < merged.size(); ++p)
+      if (!merged[p]) places.push_back({sides_[labels_.home[p]], labels_.home[p], 0, std::span(before).subspan(p, 1)});
     std::vector<uint32_t> order(places.size());
     std::iota(order.begin(), order.end(), 0u);
     tbb::parallel_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return places[a].side < places[b].side; });
-    std::vector<uint32_t> old(places.size());  // of what is not merged
-    for (uint32_t p = 0, k = static_cast<uint32_t>(larger); p < merged.size(); ++p)
-      if (!merged[p]) old[k++] = p;
     Labels renumbered;
     for (uint32_t n = 0; n < order.size(); ++n) {
       const Place& place = places[order[n]];
       renumbered.home.push_back(place.home);
       renumbered.doublings.push_back(place.doublings);
-      if (place.parts)
-        for (const uint32_t p : *place.parts) number[p] = n;
-      else
-        number[old[order[n]]] = n;
+      for (const uint32_t p : place.patches) number[p] = n;
     }
     renumbered.patch_of = std::move(labels_.patch_of);
     for (uint32_t& p : renumbered.patch_of)
@@ -345,7 +324,7 @@ class Merger {
   const std::span<const Side> sides_;
   Labels& labels_;
   const std::vector<Vec3> directions_;
-  std::vector<uint32_t> first_, side_;  // sides by patch
+  Grouped sides_of_;                    // by patch
   std::vector<Looks> known_;            // by patch
   std::vector<Part> parts_;
   std::vector<Point> lamps_;            // base cells, by x

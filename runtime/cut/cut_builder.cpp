@@ -5,6 +5,8 @@
 #include <system_error>
 #include <utility>
 
+#include "stream/latency.h"
+
 namespace ff::runtime {
 
 CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background) : front_(std::make_unique<MatrixAssembler>(world, far_light)) {
@@ -62,7 +64,7 @@ void CutBuilder::start(std::span<const stream::StripPtr> active) {
 Result<void> CutBuilder::take() {
   state_ = kIdle;
   if (error_) return *error_;
-  latency_seconds_ = std::max(std::chrono::duration<float>(std::chrono::steady_clock::now() - started_).count(), 0.98f * latency_seconds_);
+  latency_seconds_ = stream::longestOfLate(latency_seconds_, std::chrono::duration<float>(std::chrono::steady_clock::now() - started_).count());
   front_->swap(shown_);
   back_->swap(shown_);
   front_.swap(back_);

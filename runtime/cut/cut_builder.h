@@ -1,7 +1,6 @@
 // The local matrix of the cut, brought up to date within a frame or, while the one before is in use, on a thread of its own: then a frame only
 // swaps. For that two assemblers take turns. Each takes up every change in the same order, so that a node has the same slot in both.
 #pragma once
-#include <array>
 #include <atomic>
 #include <chrono>
 #include <memory>
@@ -31,7 +30,7 @@ class CutBuilder {
   // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built if
   // nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
   Result<void> next(std::span<const stream::StripPtr> active);
-  // From a cut's first call of next() to the one that took it up, s: the longest of late, which a shorter one lowers by a fiftieth. 0 without a background.
+  // From a cut's first call of next() to the one that took it up, s: longestOfLate(); 0 without a background.
   float latencySeconds() const { return latency_seconds_; }
   // Blocks until nothing is being built.
   void await() const;

@@ -10,8 +10,7 @@
 #include "formats/read/whole_world.h"
 #include "tests/support/analytic_scenes.h"
 #include "tests/support/random_world.h"
-#include "tools/scene/glb.h"
-#include "tools/scene/town.h"
+#include "tests/support/town_scene.h"
 
 namespace ff::bake {
 namespace {
@@ -37,17 +36,13 @@ bool sees(const formats::WholeWorld& world, const formats::Chunk& chunk, const s
 
 TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
   const formats::TemporaryFolder folder;
-  const auto town = tools::makeTown({.patches = 60000});
-  ASSERT_TRUE(town) << town.error().line();
-  ASSERT_TRUE(tools::writeGlb(tools::townModel(*town, false), folder.file("town.glb")));
-  auto scene = importGltf(folder.file("town.glb"));
-  ASSERT_TRUE(scene) << scene.error().line();
+  Scene scene = test::townScene(folder, 60000);
   Box all;
-  for (const Vec3 p : scene->positions) all.add(p);
+  for (const Vec3 p : scene.positions) all.add(p);
   const auto cache = BakeCache::open(folder.file("cache"), uint64_t{1} << 30);
   ASSERT_TRUE(cache) << cache.error().line();
   const BakeSettings settings{.cell_m = 1, .rays = 64, .cache = cache->get(), .geometry = false};
-  ASSERT_TRUE(bakeWorld(*scene, settings, folder.file("before.ffm")));
+  ASSERT_TRUE(bakeWorld(scene, settings, folder.file("before.ffm")));
   const auto before = formats::WholeWorld::open(folder.file("before.ffm"));
   ASSERT_TRUE(before) << before.error().line();
   // On the most open ground within 25 m of a corner of the town.
@@ -63,8 +58,8 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
       }
   }
   const Box house{ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}};
-  test::addBlock(*scene, house.lo, house.hi, scene->triangles[0].material, false);
-  const auto stats = bakeWorld(*scene, settings, folder.file("after.ffm"));
+  test::addBlock(scene, house.lo, house.hi, scene.triangles[0].material, false);
+  const auto stats = bakeWorld(scene, settings, folder.file("after.ffm"));
   ASSERT_TRUE(stats) << stats.error().line();
   const auto after = formats::WholeWorld::open(folder.file("after.ffm"));
   ASSERT_TRUE(after) << after.error().line();

@@ -13,8 +13,7 @@
 #include "bake/import/gltf_import.h"
 #include "tests/bake/variants.h"
 #include "tests/support/random_world.h"
-#include "tools/scene/glb.h"
-#include "tools/scene/town.h"
+#include "tests/support/town_scene.h"
 
 namespace ff::bake::test {
 namespace {
@@ -271,19 +270,15 @@ TEST_F(BakeFindings, DuplicatesAndOverlapsHavePlaces) {
 }
 
 TEST_F(BakeFindings, OfATownNothingIsSaid) {
-  const auto made = tools::makeTown({.patches = 4000});
-  ASSERT_TRUE(made);
-  ASSERT_TRUE(tools::writeGlb(tools::townModel(*made, false), folder_.file("town.glb")));
-  const auto scene = importGltf(folder_.file("town.glb"));
-  ASSERT_TRUE(scene);
-  const auto caster = RayCaster::create(*scene);
+  const Scene scene = townScene(folder_, 4000);
+  const auto caster = RayCaster::create(scene);
   ASSERT_TRUE(caster);
   WorkCount stop;
   const auto began = std::chrono::steady_clock::now();
-  EXPECT_FALSE(findOpenEdges(*scene, *caster, stop));
+  EXPECT_FALSE(findOpenEdges(scene, *caster, stop));
   const std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - began;
-  std::cout << "looking for open edges takes " << took.count() / static_cast<double>(scene->triangles.size()) << " us a triangle\n";
-  const auto stats = bake(*scene, {.cell_m = 1});
+  std::cout << "looking for open edges takes " << took.count() / static_cast<double>(scene.triangles.size()) << " us a triangle\n";
+  const auto stats = bake(scene, {.cell_m = 1});
   ASSERT_TRUE(stats);
   EXPECT_TRUE(stats->findings.empty()) << lines(*stats)[0];
 }

@@ -13,8 +13,7 @@
 #include "formats/read/reader.h"
 #include "tests/support/analytic_scenes.h"
 #include "tests/support/random_world.h"
-#include "tools/scene/glb.h"
-#include "tools/scene/town.h"
+#include "tests/support/town_scene.h"
 
 namespace ff::bake {
 namespace {
@@ -48,22 +47,18 @@ double difference(const Brought& a, const Brought& truth) {
 
 TEST(RowError, IsWhatSixteenTimesAsManyRaysSay) {
   const formats::TemporaryFolder folder;
-  const auto town = tools::makeTown({.patches = 2000});
-  ASSERT_TRUE(town);
-  ASSERT_TRUE(tools::writeGlb(tools::townModel(*town, false), folder.file("town.glb")));
-  const auto scene = importGltf(folder.file("town.glb"));
-  ASSERT_TRUE(scene);
-  const auto caster = RayCaster::create(*scene);
-  const auto set = makePatches(*scene, {.cell_m = 1}, &*caster);
+  const Scene scene = test::townScene(folder, 2000);
+  const auto caster = RayCaster::create(scene);
+  const auto set = makePatches(scene, {.cell_m = 1}, &*caster);
   ASSERT_TRUE(set);
   const MadeUpLight light(*set);
   WorkCount done;
   for (const float target : {0.03f, 0.015f}) {
-    const HitRows rows = castRows(*scene, *set, *caster, {16384, target}, 1, done);
+    const HitRows rows = castRows(scene, *set, *caster, {16384, target}, 1, done);
     const auto n = static_cast<double>(rows.rays.size());
     const double mean = std::accumulate(rows.rays.begin(), rows.rays.end(), 0.0) / n;
     const double said = std::sqrt(std::accumulate(rows.square_error.begin(), rows.square_error.end(), 0.0) / n);
-    const Brought truth = broughtBy(castRows(*scene, *set, *caster, static_cast<uint32_t>(16 * mean), 77, done), light);
+    const Brought truth = broughtBy(castRows(scene, *set, *caster, static_cast<uint32_t>(16 * mean), 77, done), light);
     const double off = difference(broughtBy(rows, light), truth);
     std::cout << "asked for " << target << ": " << mean << " rays a patch, " << said << " said, " << off << " measured\n";
     EXPECT_LT(off, 1.1 * static_cast<double>(target));

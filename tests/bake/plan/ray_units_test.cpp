@@ -14,26 +14,15 @@
 #include <random>
 
 #include "bake/bake.h"
-#include "bake/import/gltf_import.h"
 #include "tests/support/analytic_scenes.h"
 #include "tests/support/random_world.h"
-#include "tools/scene/glb.h"
-#include "tools/scene/town.h"
+#include "tests/support/town_scene.h"
 
 namespace ff::bake {
 namespace {
 
 constexpr uint32_t kFewRays = 64;
 const RayBudget kAsked{1024, 0.05f};  // many units need more than the least
-
-Scene town(const formats::TemporaryFolder& folder, uint64_t patches) {
-  const auto made = tools::makeTown({.patches = patches});
-  EXPECT_TRUE(made);
-  EXPECT_TRUE(tools::writeGlb(tools::townModel(*made, false), folder.file("town.glb")));
-  auto scene = importGltf(folder.file("town.glb"));
-  EXPECT_TRUE(scene) << scene.error().line();
-  return std::move(*scene);
-}
 
 bool equal(const HitRows& a, const HitRows& b) {
   const auto same_bytes = [](const auto& x, const auto& y) { return x.size() == y.size() && (x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0); };
@@ -105,7 +94,7 @@ void edit(Scene& scene, const Box& all, std::mt19937& random, std::string& what)
 
 TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
   const formats::TemporaryFolder folder;
-  Scene scene = town(folder, 3000);
+  Scene scene = test::townScene(folder, 3000);
   Box all;
   for (const Vec3 p : scene.positions) all.add(p);
   const auto cache = cacheIn(folder.file("cache"));
@@ -241,7 +230,7 @@ struct Mortal final : Ranks {
 
 TEST(RayUnits, AreTheSameWhoeverCastsThemAndWhoeverIsGone) {
   const formats::TemporaryFolder folder;
-  const Scene scene = town(folder, 3000);
+  const Scene scene = test::townScene(folder, 3000);
   const auto caster = RayCaster::create(scene);
   ASSERT_TRUE(caster);
   const auto set = makePatches(scene, {.cell_m = 1}, &*caster);
