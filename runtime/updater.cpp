@@ -22,7 +22,10 @@ void carryOver(std::span<const SlotRange> old, std::span<const Vec4> values, con
   }
 }
 
-constexpr float kBuilds = 2;  // a tile may have to wait for the matrix that is being put together, and then for its own
+constexpr float kJumpCells = 8;        // farther than an observer goes in a frame
+constexpr float kLongestFrame = 0.1f;  // s
+constexpr float kFades = 1.5f;         // so that light has followed when the observer is there
+constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
 Error noLight(std::string place, const char* why) {
   return {ErrorCode::kUsage, "", std::move(place), why, "give a finite number from 0 to 1e12 W/m2"};
@@ -30,8 +33,8 @@ Error noLight(std::string place, const char* why) {
 
 }  // namespace
 
-Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background)
-    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background) {
+Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade)
+    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background), fade_(fade) {
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->reserve(kMaxSlots);
   tiles_before_.reserve(kMaxSlots / 16);
@@ -97,8 +100,13 @@ std::string Updater::nameOf(uint32_t slot) const {
 Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
   const auto start = Clock::now();
   light_zeroed_ = 0;
-  streamer_.setLead(kBuilds * cut_.latencySeconds());
+  // What a frame takes, over a few of them; a pause is none.
+  const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(start - frame_began_).count(), kLongestFrame);
+  frame_began_ = start;
+  frame_seconds_ += (seconds - frame_seconds_) / 8;
+  streamer_.setLead(kBuilds * cut_.latencySeconds() + kFades * static_cast<float>(fade_.frames()) * frame_seconds_);
   streamer_.update(observer, velocity);
+  if (length(observer - std::exchange(observer_, observer)) > kJumpCells * world_.info().cell_m) fade_.finish();
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
   const auto changed = followCut();
@@ -110,6 +118,8 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   stats.light_zeroed = light_zeroed_;
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
+  fade_.advance(matrix(), source_, observer);
+  solver_.ease(fade_.frames());
   if (auto iterated = solver_.iterate(iterations); !iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();
   return stats;
@@ -119,15 +129,17 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
 Result<bool> Updater::followCut() {
   const bool whole = std::exchange(await_cut_, false) || !started_;
   bool changed = false;
+  if (whole) fade_.finish();
+  const std::span<const stream::StripPtr> wanted = fade_.cut(streamer_.active());
   do {
     if (whole) cut_.await();
     const auto& tiles = matrix().tiles;
     tiles_before_.assign(tiles.begin(), tiles.end());
-    if (auto followed = cut_.next(streamer_.active()); !followed) return followed.error();
+    if (auto followed = cut_.next(wanted); !followed) return followed.error();
     if (!cut_.change().any && !missed_) continue;
     changed = true;
     if (auto taken = takeUpChange(); !taken) return taken.error();
-  } while (whole && !cut_.holds(streamer_.active()));
+  } while (whole && !cut_.holds(wanted));
   return changed;
 }
 
@@ -162,6 +174,7 @@ Result<void> Updater::takeUpChange() {
   counts_.entries = m.used_entries;
   for (const SlotRange& range : m.tiles)
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
+  fade_.follow(m, change.renumbered ? std::span<const uint32_t>() : change.entered);
 
   const bool missed = std::exchange(missed_, true);
   if (!carry) before_.assign(m.slots(), {});
@@ -233,6 +246,7 @@ Result<void> Updater::relightAll() {
 Result<Settled> Updater::converge(float tolerance, int max_iterations) {
   FF_CHECK_EQ(started_, true);
   before_.resize(matrix().slots());
+  solver_.ease(0);
   return runtime::converge(solver_, {.tolerance = tolerance, .max_iterations = max_iterations}, radiosity_, before_);
 }
 
@@ -240,11 +254,12 @@ const LocalMatrix& Updater::matrix() const { return cut_.matrix(); }
 
 Result<void> Updater::radiosity(std::span<Vec4> out) {
   if (auto read = solver_.radiosity(out); !read) return read;
-  addEmission(out);
+  show(out);
   return {};
 }
 
-void Updater::addEmission(std::span<Vec4> reflected) const {
+void Updater::show(std::span<Vec4> reflected) const {
+  fade_.blend(matrix(), reflected);
   for (size_t s = 0; s < std::min(reflected.size(), emission_.size()); ++s) {
     Vec4& b = reflected[s];
     const Vec4& m = emission_[s];

@@ -1,11 +1,13 @@
 // One frame, top to bottom: stream -> cut -> local matrix -> light that arrives without a bounce -> k iterations of the solver.
 #pragma once
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <span>
 #include <string>
 
 #include "runtime/cut/cut_builder.h"
+#include "runtime/cut/cut_fade.h"
 #include "runtime/lamps.h"
 #include "runtime/sky.h"
 #include "runtime/solver/converge.h"
@@ -31,9 +33,10 @@ struct FrameStats {
 class Updater {
  public:
   // All three must outlive the updater. background: the matrix of a new cut is put together on a thread of its own and taken up a frame or two later,
-  // whole; else within the frame.
+  // whole; else within the frame. fade: over how many frames light follows a change of the cut (cut_fade.h, Solver::ease); by default at
+  // once. Tiles are then wanted so much earlier, by the time that frames take.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
-          FarLight far_light = FarLight::kPyramid, bool background = false);
+          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {});
   // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
   // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
@@ -52,7 +55,7 @@ class Updater {
   // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations);
-  // The next frame waits until the matrix is that of the streamer's active tiles.
+  // The next frame waits until the matrix is that of the streamer's active tiles, and light need not follow any more.
   void awaitCut() { await_cut_ = true; }
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
   Result<Settled> converge(float tolerance, int max_iterations);
@@ -69,8 +72,10 @@ class Updater {
   std::span<const Vec4> emission() const { return emission_; }  // what the slot's surface emits now
   uint64_t emissionChange() const { return emission_change_; }  // differs whenever emission() does
   Result<void> reflected(std::span<Vec4> out) { return solver_.radiosity(out); }  // R, after any number of bounces
-  Result<void> radiosity(std::span<Vec4> out);                  // B = R + emission()
-  void addEmission(std::span<Vec4> reflected) const;            // makes B of R
+  Result<void> radiosity(std::span<Vec4> out);                  // B: show() of R
+  // Makes what slots show of what they reflect: blended where tiles leave (cut_fade.h), and what they emit added.
+  void show(std::span<Vec4> reflected) const;
+  const CutFade& fade() const { return fade_; }
   // The last number that was taken for zero, as a line; empty: none. Its memory is taken when there is one.
   const std::string& lightFault() const { return light_fault_; }
 
@@ -90,7 +95,8 @@ class Updater {
   Lamps lamps_;
   DirectLight direct_light_;
   CutBuilder cut_;
-  Vec3 ambient_;
+  CutFade fade_;
+  Vec3 observer_, ambient_;
   std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
   std::vector<Vec3> lamp_irradiance_;     // likewise
@@ -98,6 +104,8 @@ class Updater {
   std::vector<SlotRange> tiles_before_;
   FrameStats counts_;  // of the matrix
   uint64_t emission_change_ = 0;
+  std::chrono::steady_clock::time_point frame_began_;
+  float frame_seconds_ = 0;
   bool await_cut_ = false;
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   MatrixChange whole_;

@@ -22,14 +22,14 @@ struct StreamSettings {
   float growth = 1.6f;                          // g: r_l = r_0 * g^l
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
-  uint64_t kept_bytes = uint64_t{6} << 20;      // of these, of strips that are wanted no more: for the observer's return
-  uint32_t max_level0_nodes = 4096;             // likewise, for active patches
+  uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
+  uint32_t max_level0_nodes = 8192;             // likewise, for active patches
   uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
   int queue_depth = 16;                         // reads at a time: what flies at 80 m/s wants some 150 a second, also where each takes 0.1 s
   float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
-  uint64_t ahead_bytes = uint64_t{6} << 20;     // of memory_bytes, at most, for what is read ahead
+  uint64_t ahead_bytes = uint64_t{4} << 20;     // of memory_bytes, at most, for what is read ahead
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 

@@ -37,7 +37,7 @@ class WantedTiles {
   // A chunk's index has come: the next walk goes on there.
   void add(formats::ChunkPtr chunk);
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
-  // soon: where the observer will be when what is active counts; what is near there is as near.
+  // soon: where the observer will be when what is active counts; what is near there, or on the way, is as near.
   std::span<const Tile> walk(Vec3 observer, Vec3 soon);
   std::span<const Tile> walk(Vec3 observer) { return walk(observer, observer); }
   std::span<const Tile> wanted() const { return wanted_; }
@@ -72,9 +72,13 @@ class WantedTiles {
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
   void admit(const Tile& tile);
   void offerChildren(const Tile& parent);
+  // To the way from here to soon_: near enough by its ends and its place that is nearest to the middle of the box.
   float distance(const Box& bounds) const {
     const float here = bounds.distance(observer_);
-    return soon_ == observer_ ? here : std::min(here, bounds.distance(soon_));
+    if (soon_ == observer_) return here;
+    const Vec3 way = soon_ - observer_;
+    const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer_, way) / dot(way, way), 0.0f, 1.0f);
+    return std::min({here, bounds.distance(soon_), bounds.distance(observer_ + way * along)});
   }
 
   const formats::World& world_;

@@ -31,6 +31,7 @@ struct CpuDevice final : FormfieldDevice_T {
     const DenseStats* const known = &solver->stats();
     return WorldSolver{std::move(solver), nullptr, known};
   }
+  bool fades() const override { return true; }
   int threads = 0;
 };
 
@@ -77,6 +78,7 @@ Result<void> check(const FormfieldWorldSettings& s) {
   if (s.solver > FORMFIELD_SOLVER_SEED) return usageError("solver", "is none that this version knows");
   if (s.dense_places == 0 || s.dense_places > kMaxSlots)
     return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
+  if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "8 is a good value");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
   return {};
 }
@@ -151,7 +153,7 @@ FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<format
       streamer(std::move(strips)),
       choice(chosen),
       solver(std::move(made)),
-      updater(*world, *streamer, current, FarLight::kPyramid, true) {
+      updater(*world, *streamer, current, FarLight::kPyramid, true, {.frames = on.fades() ? with.fade_frames : 0}) {
   updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   if (settings.probes > 0) {
     ProbeSettings probe_settings;
@@ -217,7 +219,7 @@ Result<void> FormfieldWorld_T::readRadiosity() {
   radiosity.resize(updater.matrix().slots());
   if (auto read = updater.reflected(radiosity); !read) return read;
   residual = residual_monitor.look(updater.matrix(), updater.source(), radiosity);
-  updater.addEmission(radiosity);
+  updater.show(radiosity);
   return {};
 }
 
@@ -323,6 +325,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->probes = 256;
   settings->probe_rays = 256;
   settings->probe_memory_bytes = uint64_t{64} << 20;
+  settings->fade_frames = 8;
 }
 
 FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, const FormfieldWorldSettings* settings,

@@ -94,6 +94,8 @@ typedef struct FormfieldWorldSettings {
   uint32_t probes;             /* for formfieldSample: points remembered; 0: formfieldSample is not used */
   uint32_t probe_rays;         /* of each */
   uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
+  uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns; 0: at once. What is needed is loaded so much
+                                  earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */

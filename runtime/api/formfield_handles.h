@@ -49,6 +49,7 @@ struct FormfieldDevice_T {
   // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
   bool records() const { return records(ff::runtime::SolverKind::kGather); }
   virtual bool records(ff::runtime::SolverKind) const { return false; }
+  virtual bool fades() const { return false; }        // its solvers can ease light in
   virtual uint64_t submissions() const { return 0; }  // of our own to a queue, for tests: each is waited for
   std::string name, error;
 };
@@ -95,6 +96,7 @@ struct FormfieldWorld_T {
       if (records()) world.solver.recording->goOnFrom(b);
       return now().setRadiosity(b);
     }
+    void ease(uint32_t frames) override { now().ease(frames); }
     ff::Result<void> iterate(int k) override { return records() ? world.solver.recording->record(k) : now().iterate(k); }
     ff::Result<void> approach(int k) override { return now().approach(k); }
     uint64_t repaired() const override { return now().repaired(); }

@@ -91,7 +91,7 @@ class VulkanRecording final : public Recording {
         reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
     }
     world.radiosity.assign(reflected_.begin(), reflected_.end());
-    world.updater.addEmission(world.radiosity);
+    world.updater.show(world.radiosity);
   }
 
   void recordReadBack(uint32_t slots) {

@@ -30,6 +30,10 @@ class Fallback final : public FallbackSolver {
     last_seen_.assign(radiosity.begin(), radiosity.end());
     return attempt([&](Solver& s) { return s.setRadiosity(radiosity); });
   }
+  void ease(uint32_t frames) override {
+    first_->ease(frames);
+    second_->ease(frames);
+  }
   Result<void> iterate(int k) override {
     return attempt([&](Solver& s) { return s.iterate(k); });
   }

@@ -6,15 +6,19 @@
 
 namespace ff::bench {
 
-SurfaceLight::SurfaceLight(const formats::WholeWorld& world) : world_(world), seen_(world.levels()[0].nodes) {
+SurfaceLight::SurfaceLight(const formats::WholeWorld& world, std::span<const double> truth) : world_(world), seen_(world.levels()[0].nodes) {
   patches_.reserve(seen_.size());
   for (const formats::TileInfo& info : world.tiles(0))
-    for (const formats::Node& node : orExit(world.strip(world.ref(info.id))).nodes) patches_.push_back({node.centroid, node.albedo});
+    for (const formats::Node& node : orExit(world.strip(world.ref(info.id))).nodes) {
+      const auto at = truth.subspan(3 * patches_.size(), 3);
+      patches_.push_back({node.centroid, node.albedo, {static_cast<float>(at[0]), static_cast<float>(at[1]), static_cast<float>(at[2])}});
+    }
 }
 
 void SurfaceLight::look(Vec3 observer, const LocalMatrix& matrix, std::span<const Vec4> radiosity) {
   near_.clear();
   far_.clear();
+  near_error_ = far_error_ = {};
   double sum = 0;
   uint32_t patches = 0;
   for (const formats::TileInfo& info : world_.tiles(0)) {
@@ -43,6 +47,8 @@ void SurfaceLight::look(Vec3 observer, const LocalMatrix& matrix, std::span<cons
         sum += static_cast<double>(light[c]) / 3;
       }
       ++patches;
+      const Vec3 off = light - patch.truth;
+      (away <= kNear_m ? near_error_ : far_error_) += {static_cast<double>(dot(off, off)), static_cast<double>(dot(patch.truth, patch.truth))};
       Seen& seen = seen_[info.first_node + i];
       if (seen.look == look_) {
         float change = 0;

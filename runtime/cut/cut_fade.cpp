@@ -1,0 +1,188 @@
+#include "runtime/cut/cut_fade.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace ff::runtime {
+namespace {
+
+using stream::StripPtr;
+
+constexpr size_t kMaxTiles = kMaxSlots / 16;
+constexpr float kStep = 0.03f;      // by what a node may change in a frame, over the mean of the finest level
+constexpr float kMaxFrames = 300;   // whatever there is to see
+constexpr float kFar = 2;           // times as far away as when it began, a tile goes faster, by the square of the distance
+
+formats::TileId parentOf(const stream::ResidentStrip& strip) { return {strip.id.level + 1, strip.tile.info().parent_tile}; }
+
+// The parent's irradiance on a node's albedo; `own` where the parent's albedo does not tell.
+Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& albedo, const Vec4& own) {
+  const auto channel = [](float b, float from, float to, float otherwise) { return from > 0 ? b / from * to : otherwise; };
+  return {channel(parent.x, parent_albedo.x, albedo.x, own.x), channel(parent.y, parent_albedo.y, albedo.y, own.y),
+          channel(parent.z, parent_albedo.z, albedo.z, own.z), 0};
+}
+
+// Over the tiles of the finest level.
+float meanOf(const LocalMatrix& matrix, std::span<const Vec4> source) {
+  double sum = 0;
+  uint64_t nodes = 0;
+  for (const SlotRange& range : matrix.tiles) {
+    if (range.id.level != matrix.tiles.front().id.level) break;
+    for (const Vec4& m : source.subspan(range.first_slot, range.nodes)) sum += static_cast<double>(m.x + m.y + m.z) / 3;
+    nodes += range.nodes;
+  }
+  return nodes > 0 ? static_cast<float>(sum / static_cast<double>(nodes)) : 0;
+}
+
+// The largest difference between a node and its parent, lit without a bounce.
+float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<const Vec4> source) {
+  float hidden = 0;
+  for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
+    const uint32_t parent = matrix.parent_slot[slot];
+    if (parent == kNoSlot) continue;
+    const Vec4& own = source[slot];
+    const Vec4 above = onAlbedo(source[parent], matrix.albedo[parent], matrix.albedo[slot], own);
+    hidden = std::max({hidden, std::abs(own.x - above.x), std::abs(own.y - above.y), std::abs(own.z - above.z)});
+  }
+  return hidden;
+}
+
+}  // namespace
+
+CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
+  if (settings.frames == 0) return;
+  for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
+  for (auto* strips : {&active_, &cut_, &next_cut_}) strips->reserve(kMaxTiles);
+  leaving_.reserve(kMaxTiles);
+  order_.reserve(kMaxTiles);
+}
+
+CutFade::Tile* CutFade::find(formats::TileId id) {
+  const auto at = std::ranges::lower_bound(tiles_, id, {}, &Tile::id);
+  return at != tiles_.end() && at->id == id ? &*at : nullptr;
+}
+
+std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
+  if (settings_.frames == 0) return active;
+  const bool same = std::ranges::equal(active, active_);
+  if (same && std::ranges::none_of(tiles_, [](const Tile& tile) { return tile.leaving && tile.rests(); })) return cut_;
+  active_.assign(active.begin(), active.end());
+  listLeaving();
+  keepTheMost();
+  next_cut_.clear();
+  auto a = active.begin();
+  for (const Leaving& tile : leaving_) {
+    if (!tile.kept) continue;
+    for (; a != active.end() && (*a)->id < cut_[tile.at]->id; ++a) next_cut_.push_back(*a);
+    next_cut_.push_back(cut_[tile.at]);
+  }
+  next_cut_.insert(next_cut_.end(), a, active.end());
+  cut_.swap(next_cut_);
+  next_cut_.clear();
+  return cut_;
+}
+
+// Tiles of the matrix that are active no more, kept as long as they or their descendants show anything.
+void CutFade::listLeaving() {
+  leaving_.clear();
+  size_t a = 0;
+  for (uint32_t k = 0; k < cut_.size(); ++k) {
+    while (a < active_.size() && active_[a]->id < cut_[k]->id) ++a;
+    Tile* const tile = find(cut_[k]->id);
+    if (!tile) continue;  // one that leaves before it was ever there just goes
+    const bool leaves = a == active_.size() || active_[a]->id != cut_[k]->id;
+    if (tile->leaving != leaves) tile->step = 0;
+    tile->leaving = leaves;
+    if (leaves) leaving_.push_back({k, tile->weight, tile->weight > 0});
+  }
+  for (const Leaving& tile : leaving_) {  // children first: the finest levels come first
+    if (!tile.kept) continue;
+    const formats::TileId parent = parentOf(*cut_[tile.at]);
+    const auto above = std::ranges::lower_bound(leaving_, parent, {}, [&](const Leaving& l) { return cut_[l.at]->id; });
+    if (above == leaving_.end() || cut_[above->at]->id != parent) continue;
+    above->kept = true;
+    above->weight = std::max(above->weight, tile.weight);
+  }
+}
+
+// Within max_nodes, and what slots there are: those that show most, parents before their children.
+void CutFade::keepTheMost() {
+  size_t active = 0;
+  for (const StripPtr& strip : active_) active += strip->nodes.size();
+  const size_t slots = kMaxSlots - kMaxSlots / 32;  // so that a tile that enters finds consecutive ones
+  const size_t room = std::min<size_t>(settings_.max_nodes, active < slots ? slots - active : 0);
+  size_t nodes = 0;
+  order_.clear();
+  for (uint32_t k = 0; k < leaving_.size(); ++k)
+    if (leaving_[k].kept) {
+      order_.push_back(k);
+      nodes += cut_[leaving_[k].at]->nodes.size();
+    }
+  if (nodes <= room) return;
+  std::ranges::sort(order_, [&](uint32_t x, uint32_t y) {  // of two that show as much, the coarser first
+    return leaving_[x].weight != leaving_[y].weight ? leaving_[x].weight > leaving_[y].weight : x > y;
+  });
+  nodes = 0;
+  for (const uint32_t k : order_) {
+    nodes += cut_[leaving_[k].at]->nodes.size();
+    leaving_[k].kept = nodes <= room;
+  }
+}
+
+void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entered) {
+  if (settings_.frames == 0) return;
+  tiles_before_.swap(tiles_);  // both are sorted: tiles that stay keep their weights
+  tiles_.clear();
+  auto old = tiles_before_.begin();
+  for (const SlotRange& range : matrix.tiles) {
+    while (old != tiles_before_.end() && old->id < range.id) ++old;
+    const bool stays = old != tiles_before_.end() && old->id == range.id;
+    tiles_.push_back(stays ? *old : Tile{range.id});
+  }
+  for (const uint32_t t : entered) {  // parents first: light that is blended itself goes on as it is shown
+    if (matrix.parent_slot[matrix.tiles[t].first_slot] == kNoSlot) continue;
+    const Tile* const parent = find(parentOf(*matrix.packed[t].strip));
+    if (parent && parent->weight < 1) tiles_[t].weight = 0;
+  }
+}
+
+void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, Vec3 observer) {
+  float mean = -1;
+  for (size_t t = 0; t < tiles_.size(); ++t) {
+    Tile& tile = tiles_[t];
+    if (tile.rests()) continue;
+    const float away_m = matrix.packed[t].strip->tile.info().bounds.distance(observer);
+    if (tile.step == 0) {
+      if (mean < 0) mean = meanOf(matrix, source);
+      const float frames = mean > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean) : 0;
+      tile.step = 1 / std::max(static_cast<float>(settings_.frames), std::min(frames, kMaxFrames));
+      tile.left_at_m = away_m;
+    }
+    const float faster = std::max(1.0f, away_m / (kFar * tile.left_at_m));
+    tile.weight = std::clamp(tile.weight + (tile.leaving ? -tile.step * faster * faster : tile.step), 0.0f, 1.0f);
+    if (tile.rests()) tile.step = 0;
+  }
+}
+
+void CutFade::finish() {
+  active_.clear();
+  cut_.clear();
+  for (Tile& tile : tiles_) tile = {tile.id};
+}
+
+void CutFade::blend(const LocalMatrix& matrix, std::span<Vec4> reflected) const {
+  for (size_t t = tiles_.size(); t-- > 0;) {  // the coarsest first: a parent is blended before its children
+    const float weight = tiles_[t].weight;
+    if (weight == 1) continue;
+    const SlotRange& range = matrix.tiles[t];
+    for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
+      const uint32_t parent = matrix.parent_slot[slot];
+      if (parent == kNoSlot) continue;
+      const Vec4 own = reflected[slot], above = onAlbedo(reflected[parent], matrix.albedo[parent], matrix.albedo[slot], own);
+      const auto mix = [&](float b, float over) { return b + (1 - weight) * (over - b); };
+      reflected[slot] = {mix(own.x, above.x), mix(own.y, above.y), mix(own.z, above.z), 0};
+    }
+  }
+}
+
+}  // namespace ff::runtime
