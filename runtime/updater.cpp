@@ -97,7 +97,7 @@ std::string Updater::nameOf(uint32_t slot) const {
   return name + ": a slot of no tile";
 }
 
-Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) {
+Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterations) {
   const auto start = Clock::now();
   light_zeroed_ = 0;
   // What a frame takes, over a few of them; a pause is none.
@@ -105,8 +105,8 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   frame_began_ = start;
   frame_seconds_ += (seconds - frame_seconds_) / 8;
   streamer_.setLead(kBuilds * cut_.latencySeconds() + kFades * static_cast<float>(fade_.frames()) * frame_seconds_);
-  streamer_.update(observer, velocity);
-  if (length(observer - std::exchange(observer_, observer)) > kJumpCells * world_.info().cell_m) fade_.finish();
+  streamer_.update(observers);
+  if (observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers))) fade_.finish();
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
   const auto changed = followCut();
@@ -118,7 +118,7 @@ Result<FrameStats> Updater::frame(Vec3 observer, Vec3 velocity, int iterations) 
   stats.light_zeroed = light_zeroed_;
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
-  fade_.advance(matrix(), source_, observer);
+  fade_.advance(matrix(), source_, observers);
   solver_.ease(fade_.frames());
   if (auto iterated = solver_.iterate(iterations); !iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();

@@ -54,7 +54,8 @@ class Updater {
   // Runs one frame. iterations: k. Radiosity carries over from the last frame by node, so light lags by at most a few
   // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
-  Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations);
+  Result<FrameStats> frame(const stream::Observers& observers, int iterations);
+  Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations) { return frame(stream::Observers(stream::Observer{observer, velocity}), iterations); }
   // The next frame waits until the matrix is that of the streamer's active tiles, and light need not follow any more.
   void awaitCut() { await_cut_ = true; }
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
@@ -96,7 +97,8 @@ class Updater {
   DirectLight direct_light_;
   CutBuilder cut_;
   CutFade fade_;
-  Vec3 observer_, ambient_;
+  Vec3 ambient_;
+  stream::Observers observers_;
   std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
   std::vector<Vec3> lamp_irradiance_;     // likewise

@@ -77,11 +77,11 @@ PathPlanner::~PathPlanner() {
   thread_.join();
 }
 
-void PathPlanner::aim(Vec3 observer, Vec3 velocity, float latency_seconds) {
+void PathPlanner::aim(const Observers& observers, float latency_seconds) {
   if (!thread_.joinable()) return;
   {
     const std::lock_guard lock(mutex_);
-    aim_ = {observer, velocity, latency_seconds, Clock::now()};
+    aim_ = {observers, latency_seconds, Clock::now()};
     aims_.fetch_add(1);
   }
   aims_.notify_one();
@@ -132,16 +132,20 @@ void PathPlanner::work() {
 
 void PathPlanner::make(const Aim& aim, Plan& plan) {
   ++plans_;
-  speed_ = length(aim.velocity);
-  const Vec3 turn = turn_rate_.follow(aim.velocity, std::chrono::duration<float>(aim.at - aimed_at_).count());
-  aimed_at_ = aim.at;
-  if (!(speed_ > kMinSpeed_m_s)) return;
+  paths_.clear();
+  const float since = std::chrono::duration<float>(aim.at - std::exchange(aimed_at_, aim.at)).count();
   const float seconds = std::min(settings_.ahead_seconds + kLatencies * aim.latency_seconds, kMaxSeconds);
-  // Half a radius a step: a tile on the way is nearer than its radius at one of them, or misses it by 3 % of that.
-  const auto steps = static_cast<size_t>(std::clamp(std::ceil(speed_ * seconds / (0.5f * settings_.radius_m)), 4.0f, 64.0f));
-  path_ = foretoldPath(aim.observer, aim.velocity, turn, seconds, steps);
-  step_seconds_ = seconds / static_cast<float>(steps);
-  shell_m_ = speed_ * (2 * aim.latency_seconds + kFrameSeconds);
+  for (size_t i = 0; i < aim.observers.size(); ++i) {
+    const Observer& observer = aim.observers[i];
+    const float speed = length(observer.velocity);
+    const Vec3 turn = turn_rate_[i].follow(observer.velocity, since);
+    if (!(speed > kMinSpeed_m_s)) continue;
+    // Half a radius a step: a tile on the way is nearer than its radius at one of them, or misses it by 3 % of that.
+    const auto steps = static_cast<size_t>(std::clamp(std::ceil(speed * seconds / (0.5f * settings_.radius_m)), 4.0f, 64.0f));
+    paths_.push_back({foretoldPath(observer.at, observer.velocity, turn, seconds, steps), seconds / static_cast<float>(steps),
+                      speed * (2 * aim.latency_seconds + kFrameSeconds), speed});
+  }
+  if (paths_.empty()) return;
   for (const formats::ChunkPtr& chunk : top_)
     for (uint32_t t = 0; t < chunk->tiles.size(); ++t) visit(*chunk, t, plan);
   std::sort(plan.tiles.begin(), plan.tiles.end(), [](const Ahead& a, const Ahead& b) {
@@ -155,13 +159,19 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
 }
 
 // 0: it is wanted now. Off the path but within the shell: after all that is on the path.
-float PathPlanner::secondsTo(const Box& bounds, uint32_t level) const {
-  for (size_t k = 0; k < path_.size(); ++k) {
-    const float beyond = bounds.distance(path_[k]) - radius_m_[level] * (k == 0 ? 1.0f : 1.03f);
-    if (beyond < 0) return k == 0 ? 0 : step_seconds_ * (static_cast<float>(k) - 1);
+float PathPlanner::secondsTo(const Path& path, const Box& bounds, uint32_t level) const {
+  for (size_t k = 0; k < path.at.size(); ++k) {
+    const float beyond = bounds.distance(path.at[k]) - radius_m_[level] * (k == 0 ? 1.0f : 1.03f);
+    if (beyond < 0) return k == 0 ? 0 : path.step_seconds * (static_cast<float>(k) - 1);
   }
-  const float beyond = bounds.distance(path_[0]) - radius_m_[level];
-  return beyond < shell_m_ ? step_seconds_ * static_cast<float>(path_.size()) + beyond / speed_ : kNever;
+  const float beyond = bounds.distance(path.at[0]) - radius_m_[level];
+  return beyond < path.shell_m ? path.step_seconds * static_cast<float>(path.at.size()) + beyond / path.speed : kNever;
+}
+
+float PathPlanner::secondsTo(const Box& bounds, uint32_t level) const {
+  float soonest = kNever;
+  for (const Path& path : paths_) soonest = std::min(soonest, secondsTo(path, bounds, level));
+  return soonest;
 }
 
 void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) {
@@ -175,7 +185,7 @@ void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) 
     const TileInfo& of = below->tiles[t];
     const float seconds = secondsTo(of.bounds, level);
     if (seconds == kNever) continue;
-    if (seconds > 0 || of.bounds.distance(path_[0]) >= radius_m_[level]) plan.tiles.push_back({seconds, residentBytesBound(world_, of), of.id, below});
+    if (std::ranges::none_of(paths_, [&](const Path& path) { return of.bounds.distance(path.at[0]) < radius_m_[level]; })) plan.tiles.push_back({seconds, residentBytesBound(world_, of), of.id, below});
     visit(*below, t, plan);
   }
 }

@@ -1,4 +1,4 @@
-// Which tiles the observer will want next, and when: those that come within their radius along the path that velocity and turn rate foretell, and
+// Which tiles observers will want next, and when: those that come within their radius along the path that velocity and turn rate foretell, and
 // a shell around the radius for turns that nothing foretells. Planned on a thread of its own, which also reads the index of what lies
 // there; so a frame only takes the list.
 #pragma once
@@ -55,7 +55,7 @@ class PathPlanner {
 
   // The frame's: they allocate and free nothing.
   // latency_seconds: that reads take at present.
-  void aim(Vec3 observer, Vec3 velocity, float latency_seconds);
+  void aim(const Observers& observers, float latency_seconds);
   // Whether take() has something new; no lock.
   bool fresh() const { return fresh_.load(); }
   // The newest plan, for one that is given back.
@@ -66,7 +66,7 @@ class PathPlanner {
  private:
   using Clock = std::chrono::steady_clock;
   struct Aim {
-    Vec3 observer, velocity;
+    Observers observers;
     float latency_seconds = 0;
     Clock::time_point at;
   };
@@ -86,12 +86,16 @@ class PathPlanner {
   std::vector<float> radius_m_;            // by level
   std::vector<formats::ChunkPtr> top_;
   TileMap<Here> chunks_;                   // by their first tile
-  TurnRate turn_rate_;
+  std::array<TurnRate, kMaxObservers> turn_rate_;
   Clock::time_point aimed_at_;
   uint32_t plans_ = 0;
   // Of the plan being made.
-  std::vector<Vec3> path_;
-  float step_seconds_ = 0, shell_m_ = 0, speed_ = 0;
+  struct Path {
+    std::vector<Vec3> at;  // from where the observer is
+    float step_seconds = 0, shell_m = 0, speed = 0;
+  };
+  float secondsTo(const Path& path, const Box& bounds, uint32_t level) const;
+  std::vector<Path> paths_;  // of those that move
 
   mutable std::mutex mutex_;
   Aim aim_;

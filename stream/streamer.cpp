@@ -70,15 +70,15 @@ class StreamerImpl final : public Streamer {
     return {};
   }
 
-  bool update(Vec3 observer, Vec3 velocity) override {
-    const bool moved = !started_ || !(observer == observer_) || (lead_seconds_ > 0 && !(velocity == velocity_));
+  using Streamer::update;
+  bool update(const Observers& observers) override {
+    const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_seconds_ > 0 && turned);
     const bool retries = isRetryDue();
-    if (planner_ && (moved || !(velocity == velocity_))) planner_->aim(observer, velocity, loader_.latencySeconds());
+    if (planner_ && (moved || turned)) planner_->aim(observers, loader_.latencySeconds());
     const bool planned = planner_ && planner_->fresh();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
-    observer_ = observer;
-    velocity_ = velocity;
+    observers_ = observers;
     bool index_grew = takeArrivals();
     if (planned) index_grew |= takePlan();
     if (moved || index_grew || retries) walk();
@@ -92,7 +92,7 @@ class StreamerImpl final : public Streamer {
 
   Result<void> settle() override {
     for (;;) {
-      update(observer_, velocity_);
+      update(observers_);
       if (planner_) planner_->await();
       if (planner_ && planner_->fresh()) continue;
       if (loader_.backlog().idle()) return {};
@@ -192,7 +192,7 @@ class StreamerImpl final : public Streamer {
   }
 
   void walk() {
-    const std::span<const WantedTiles::Tile> now = wanted_.walk(observer_, observer_ + velocity_ * lead_seconds_);
+    const std::span<const WantedTiles::Tile> now = wanted_.walk(observers_, lead_seconds_);
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id) || isAhead(id)) continue;
       cache_.setWanted(id, false);
@@ -210,7 +210,7 @@ class StreamerImpl final : public Streamer {
   void queueMissing() {
     missing_.clear();
     for (const WantedTiles::Tile& tile : wanted_.wanted())
-      if (isMissing(tile.id)) missing_.push_back({tile.info().bounds.distance(observer_ + velocity_ * kAimSeconds) / wanted_.radius(tile.id.level), tile});
+      if (isMissing(tile.id)) missing_.push_back({observers_.distance(tile.info().bounds, kAimSeconds) / wanted_.radius(tile.id.level), tile});
     for (const PathPlanner::Ahead& tile : std::span(plan_->tiles).first(ahead_))
       if (isMissing(tile.id) && !wanted_.isWanted(tile.id)) missing_.push_back({kAheadNeed + tile.seconds, {tile.id, tile.chunk}});
     forgetFailures();
@@ -288,7 +288,7 @@ class StreamerImpl final : public Streamer {
   const Clock::duration retry_after_;
   WantedTiles wanted_;
   TileCache cache_;
-  Vec3 observer_, velocity_;
+  Observers observers_;
   bool started_ = false, has_queue_ = false;
   std::vector<TileId> previous_;       // wanted by the last walk, sorted
   std::vector<Missing> missing_;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "formats/read/reader.h"
+#include "stream/observers.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -48,16 +49,18 @@ class Streamer {
                                                   std::unique_ptr<TileSource> source = nullptr);
   virtual ~Streamer() = default;
 
-  // observer: m; velocity: m/s, by which and by how it turns the path is foretold and read ahead. Returns true if the active set has changed.
-  virtual bool update(Vec3 observer, Vec3 velocity) = 0;
-  // From the next update() on a tile is wanted so long before the observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
+  // By an observer's velocity, and by how it turns, its path is foretold and read ahead; each keeps its number from call to call. Budgets are of all
+  // together: where they run out, the same smaller radius is everybody's. Returns true if the active set has changed.
+  virtual bool update(const Observers& observers) = 0;
+  bool update(Vec3 observer, Vec3 velocity) { return update(Observers(Observer{observer, velocity})); }
+  // From the next update() on a tile is wanted so long before an observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
   virtual void setLead(float seconds) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
   // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
   // after the last has let go.
   virtual std::span<const StripPtr> active() const = 0;
-  // Blocks until nothing is pending for the last observer and its path (tests, headless pictures), calling update() as it goes.
+  // Blocks until nothing is pending for the last observers and their paths (tests, headless pictures), calling update() as it goes.
   virtual Result<void> settle() = 0;
   virtual StreamStats stats() const = 0;
   // The last strip that could not be read or decoded, as a line with its remedy; empty: none yet.

@@ -64,10 +64,10 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
   }
 }
 
-std::span<const WantedTiles::Tile> WantedTiles::walk(Vec3 observer, Vec3 soon) {
+std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, float lead_seconds) {
   ++walks_;
-  observer_ = observer;
-  soon_ = soon;
+  observers_ = observers;
+  lead_seconds_ = lead_seconds;
   wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();

@@ -37,9 +37,8 @@ class WantedTiles {
   // A chunk's index has come: the next walk goes on there.
   void add(formats::ChunkPtr chunk);
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
-  // soon: where the observer will be when what is active counts; what is near there, or on the way, is as near.
-  std::span<const Tile> walk(Vec3 observer, Vec3 soon);
-  std::span<const Tile> walk(Vec3 observer) { return walk(observer, observer); }
+  // lead_seconds: until what is active counts; what is near where the observers will be then, or on the way, is as near.
+  std::span<const Tile> walk(const Observers& observers, float lead_seconds);
   std::span<const Tile> wanted() const { return wanted_; }
   // Chunks beyond which the last walk could not look, the most urgent last. Valid until the next walk.
   std::span<const ChunkRequest> missingChunks() const { return missing_; }
@@ -72,18 +71,22 @@ class WantedTiles {
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
   void admit(const Tile& tile);
   void offerChildren(const Tile& parent);
-  // To the way from here to soon_: near enough by its ends and its place that is nearest to the middle of the box.
+  // To the nearest observer's way: near enough by its ends and its place that is nearest to the middle of the box.
   float distance(const Box& bounds) const {
-    const float here = bounds.distance(observer_);
-    if (soon_ == observer_) return here;
-    const Vec3 way = soon_ - observer_;
-    const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer_, way) / dot(way, way), 0.0f, 1.0f);
-    return std::min({here, bounds.distance(soon_), bounds.distance(observer_ + way * along)});
+    float nearest = observers_.distance(bounds);
+    for (const Observer& observer : observers_) {
+      const Vec3 way = observer.velocity * lead_seconds_;
+      if (way == Vec3{}) continue;
+      const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer.at, way) / dot(way, way), 0.0f, 1.0f);
+      nearest = std::min({nearest, bounds.distance(observer.at + way), bounds.distance(observer.at + way * along)});
+    }
+    return nearest;
   }
 
   const formats::World& world_;
   const StreamSettings settings_;
-  Vec3 observer_, soon_;  // of the walk
+  Observers observers_;  // of the walk
+  float lead_seconds_ = 0;
   size_t max_wanted_ = 0;
   std::vector<float> radius_m_;  // per level
   TileMap<Here> chunks_;         // by their first tile

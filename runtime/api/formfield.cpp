@@ -14,6 +14,7 @@ using namespace ff;
 using namespace ff::runtime;
 
 static_assert(sizeof(Vec3) == 3 * sizeof(float) && sizeof(Vec4) == 4 * sizeof(float));
+static_assert(FORMFIELD_MAX_OBSERVERS == stream::kMaxObservers);
 static_assert(FORMFIELD_NO_SLOT == kNoSlot && FORMFIELD_MAX_SLOTS == kMaxSlots);
 
 struct CpuDevice final : FormfieldDevice_T {
@@ -184,17 +185,25 @@ void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
                nodes.data(), &out.front().x);
 }
 
-Result<void> FormfieldWorld_T::frame(Vec3 at, Vec3 moving) {
-  if (auto stepped = step(at, moving); !stepped) return stepped;
+Result<stream::Observers> FormfieldWorld_T::observersOf(std::span<const FormfieldObserver> given) const {
+  if (given.empty() || given.size() > stream::kMaxObservers) return usageError("observers", "are none or more than 16", "give 1 to FORMFIELD_MAX_OBSERVERS");
+  std::array<stream::Observer, stream::kMaxObservers> list;
+  for (size_t i = 0; i < given.size(); ++i) {
+    list[i] = {fromOrigin(given[i].position), vectorOf(given[i].velocity)};
+    if (!isFinite(list[i].at) || !isFinite(list[i].velocity)) return usageError("observer", "or its velocity is not finite");
+  }
+  return stream::Observers(std::span(list).first(given.size()));
+}
+
+Result<void> FormfieldWorld_T::frame(const stream::Observers& now) {
+  if (auto stepped = step(now); !stepped) return stepped;
   return readRadiosity();
 }
 
-Result<void> FormfieldWorld_T::step(Vec3 at, Vec3 moving) {
-  if (!isFinite(at) || !isFinite(moving)) return usageError("observer", "or its velocity is not finite");
-  observer = at;
-  velocity = moving;
+Result<void> FormfieldWorld_T::step(const stream::Observers& now) {
+  observers = now;
   const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
-  const auto stats = updater.frame(at, moving, iterations);
+  const auto stats = updater.frame(now, iterations);
   if (!stats) return stats.error();
   followCut(*stats);
   return {};
@@ -228,7 +237,7 @@ Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) 
   if (!(tolerance > 0) || max_iterations > 1000000) return usageError("tolerance", "is not positive, or too many iterations");
   if (auto loaded = streamer->settle(); !loaded) return loaded;
   updater.awaitCut();
-  const auto stats = updater.frame(observer, velocity, 1);
+  const auto stats = updater.frame(observers, 1);
   if (!stats) return stats.error();
   followCut(*stats);
   if (auto chosen = chooseByMatrix(); !chosen) return chosen;
@@ -275,7 +284,7 @@ Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<co
     for (size_t t = 0; t < matrix.tiles.size(); ++t)
       probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.strip(t).nodes});
   }
-  probes->follow(observer, probe_tiles, matrix.leaf, change);
+  probes->follow(observers, probe_tiles, matrix.leaf, change);
   probes->sample(points, normals, radiosity, sky, out);
   return {};
 }
@@ -463,7 +472,17 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
 FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!observer) return usageError("observer", "is NULL");
-    return w.frame(w.fromOrigin(observer), velocity ? vectorOf(velocity) : Vec3{});
+    const FormfieldObserver given = observerOf(observer, velocity);
+    const auto one = w.observersOf({&given, 1});
+    return one ? w.frame(*one) : Result<void>(one.error());
+  });
+}
+
+FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const FormfieldObserver* observers) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!observers) return usageError("observers", "is NULL");
+    const auto all = w.observersOf({observers, count});
+    return all ? w.frame(*all) : Result<void>(all.error());
   });
 }
 

@@ -43,7 +43,7 @@ typedef enum FormfieldResult {
 } FormfieldResult;
 
 typedef struct FormfieldDevice_T* FormfieldDevice; /* where light is computed */
-typedef struct FormfieldWorld_T* FormfieldWorld;   /* an open world, streamed around one observer */
+typedef struct FormfieldWorld_T* FormfieldWorld;   /* an open world, streamed around its observers */
 
 /* Version of the library, major * 10000 + minor * 100 + patch, and as text. */
 uint32_t formfieldVersion(void);
@@ -185,6 +185,17 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
  * (formfield_vulkan.h) does the same into the caller's command buffer. observer: m, in the scene's own world space, however far from its
  * zero that is; all positions that are floats count from FormfieldWorldInfo::origin. */
 FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]);
+
+#define FORMFIELD_MAX_OBSERVERS 16u
+typedef struct FormfieldObserver {
+  double position[3]; /* m, as above */
+  float velocity[3];  /* m/s */
+} FormfieldObserver;
+
+/* The same for several observers of one world (players side by side, an editor's views): they share its strips, memory, threads and slots, and
+ * what one has around it is there for all. Each keeps its place in the list from frame to frame. The budgets of FormfieldWorldSettings are of all
+ * together. */
+FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const FormfieldObserver* observers);
 
 /* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
  * next frame. */

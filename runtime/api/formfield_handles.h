@@ -67,8 +67,10 @@ struct FormfieldWorld_T {
     const auto& origin = world->info().origin;
     return {static_cast<float>(at[0] - origin[0]), static_cast<float>(at[1] - origin[1]), static_cast<float>(at[2] - origin[2])};
   }
-  ff::Result<void> step(ff::Vec3 observer, ff::Vec3 velocity);
-  ff::Result<void> frame(ff::Vec3 observer, ff::Vec3 velocity);
+  // Those of a call; errors: too many, none, or a number that is not finite.
+  ff::Result<ff::stream::Observers> observersOf(std::span<const FormfieldObserver> given) const;
+  ff::Result<void> step(const ff::stream::Observers& observers);
+  ff::Result<void> frame(const ff::stream::Observers& observers);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
   void askDirectLight(ff::formats::TileId id, std::span<ff::Vec3> out);
@@ -120,7 +122,7 @@ struct FormfieldWorld_T {
   void* direct_light_user = nullptr;
 
   // Of the last frame.
-  ff::Vec3 observer, velocity;
+  ff::stream::Observers observers;
   ff::runtime::FrameStats frame_stats;
   ff::runtime::Settled settled;  // by the last settle()
   uint64_t light_zeroed = 0;     // since the start
@@ -156,6 +158,13 @@ FormfieldResult guarded(std::string& line, Call&& call) noexcept {
     line = "internal error";
     return FORMFIELD_ERROR_IO;
   }
+}
+
+inline FormfieldObserver observerOf(const double at[3], const float velocity[3]) {  // velocity: null is none
+  FormfieldObserver observer{};
+  std::copy_n(at, 3, observer.position);
+  if (velocity) std::copy_n(velocity, 3, observer.velocity);
+  return observer;
 }
 
 inline Error usageError(const char* place, const char* message, const char* remedy = "") {

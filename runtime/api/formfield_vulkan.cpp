@@ -25,12 +25,12 @@ class VulkanRecording final : public Recording {
     return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames));
   }
 
-  Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, Vec3 observer, Vec3 velocity) {
+  Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, const stream::Observers& observers) {
     const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
     commands_ = commands;
     updater_ = &world.updater;
     world.recording = true;
-    auto stepped = world.step(observer, velocity);
+    auto stepped = world.step(observers);
     world.recording = false;
     if (!stepped) return stepped;
     const LocalMatrix& matrix = world.updater.matrix();
@@ -218,6 +218,12 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last) 
 
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const double observer[3],
                                 const float velocity[3]) {
+  if (!observer) return formfieldRecordFor(world, commands, 1, nullptr);
+  const FormfieldObserver one = observerOf(observer, velocity);
+  return formfieldRecordFor(world, commands, 1, &one);
+}
+
+FormfieldResult formfieldRecordFor(FormfieldWorld world, VkCommandBuffer commands, uint32_t count, const FormfieldObserver* observers) {
   if (!world) return guarded(errorOfThisThread(), [] { return Result<void>(usageError("world", "is NULL")); });
   const auto unsupported = [&] {
     (void)guarded(world->device.error, [&]() -> Result<void> {
@@ -232,9 +238,9 @@ FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, 
   VulkanRecording* const recording = recordingOf(world);
   if (!recording) return unsupported();
   const FormfieldResult result = guarded(world->device.error, [&]() -> Result<void> {
-    if (!commands || !observer) return usageError("commands or observer", "is NULL");
-    return recording->frame(*world, commands, world->fromOrigin(observer),
-                            velocity ? Vec3{velocity[0], velocity[1], velocity[2]} : Vec3{});
+    if (!commands || !observers) return usageError("commands or observer", "is NULL");
+    const auto all = world->observersOf({observers, count});
+    return all ? recording->frame(*world, commands, *all) : Result<void>(all.error());
   });
   return result == FORMFIELD_OK && world->solver.fellBack() ? unsupported() : result;
 }

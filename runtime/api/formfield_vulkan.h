@@ -46,6 +46,8 @@ uint32_t formfieldValidationMessages(FormfieldDevice device, const char** last);
  * FORMFIELD_ERROR_UNSUPPORTED: seed, which is a baseline, or the CPU has taken over; formfieldFrame works. */
 FormfieldResult formfieldRecord(FormfieldWorld world, VkCommandBuffer commands, const double observer[3],
                                 const float velocity[3]);
+/* The same for several observers: formfieldFrameFor. */
+FormfieldResult formfieldRecordFor(FormfieldWorld world, VkCommandBuffer commands, uint32_t count, const FormfieldObserver* observers);
 /* Radiosity by slot, reflected and emitted, a vec4 each, W/m2 (w is 0), as the last recorded frame leaves it: a storage
  * buffer, always the same.
  * Null where formfieldRecord is unsupported. */

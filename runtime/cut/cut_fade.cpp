@@ -146,12 +146,12 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
   }
 }
 
-void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, Vec3 observer) {
+void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers) {
   float mean = -1;
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
-    const float away_m = matrix.packed[t].strip->tile.info().bounds.distance(observer);
+    const float away_m = observers.distance(matrix.packed[t].strip->tile.info().bounds);
     if (tile.step == 0) {
       if (mean < 0) mean = meanOf(matrix, source);
       const float frames = mean > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean) : 0;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "stream/observers.h"
 
 namespace ff::runtime {
 
@@ -24,7 +25,7 @@ class CutFade {
   // The matrix is that of another cut. entered: as MatrixChange has it; empty where slots were given out anew.
   void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered);
   // A frame passes. source: by slot, what is reflected of light that arrives without a bounce, W/m2.
-  void advance(const LocalMatrix& matrix, std::span<const Vec4> source, Vec3 observer);
+  void advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers);
   // What fades is gone, by the next cut() and follow().
   void finish();
 
@@ -36,7 +37,7 @@ class CutFade {
   struct Tile {
     formats::TileId id;
     float weight = 1, step = 0;  // step: of a frame; 0 where it has not begun
-    float left_at_m = 0;         // how far away the observer was then
+    float left_at_m = 0;         // how far away the nearest observer was then
     bool leaving = false;
     bool rests() const { return weight == (leaving ? 0.0f : 1.0f); }
   };

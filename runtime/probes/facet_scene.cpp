@@ -22,7 +22,7 @@ constexpr float kReaimCells = 4;
 // Level-0 tiles, the nearest first, by a descent that visits only tiles that are as near and their siblings. What cannot be read is left out.
 class NearestTiles {
  public:
-  NearestTiles(const formats::World& world, Vec3 observer) : world_(world), observer_(observer) {
+  NearestTiles(const formats::World& world, const stream::Observers& observers) : world_(world), observers_(observers) {
     for (uint32_t k = 0; k < world.root()->children.size(); ++k)
       if (auto chunk = world.child(world.root(), k)) offer(*chunk, 0, static_cast<uint32_t>((*chunk)->tiles.size()));
   }
@@ -50,12 +50,12 @@ class NearestTiles {
   void offer(const formats::ChunkPtr& chunk, uint32_t first, uint32_t end) {
     if (chunks_.empty() || chunks_.back() != chunk) chunks_.push_back(chunk);
     for (uint32_t t = first; t < end; ++t) {
-      heap_.push_back({chunk->tiles[t].bounds.distance(observer_), {chunk, t}});
+      heap_.push_back({observers_.distance(chunk->tiles[t].bounds), {chunk, t}});
       std::ranges::push_heap(heap_, std::less());
     }
   }
   const formats::World& world_;
-  const Vec3 observer_;
+  const stream::Observers observers_;
   std::vector<formats::ChunkPtr> chunks_;
   std::vector<Place> heap_;
 };
@@ -117,13 +117,13 @@ FacetScenes::~FacetScenes() {
   thread_.join();
 }
 
-void FacetScenes::moveTo(Vec3 observer) {
-  if (!thread_.joinable() || (aimed_ && length(observer - aimed_at_) < kReaimCells * world_.info().cell_m)) return;
+void FacetScenes::moveTo(const stream::Observers& observers) {
+  if (!thread_.joinable() || (aimed_ && !observers.movedBy(kReaimCells * world_.info().cell_m, aimed_at_))) return;
   aimed_ = true;
-  aimed_at_ = observer;
+  aimed_at_ = observers;
   {
     const std::lock_guard lock(mutex_);
-    observer_ = observer;
+    observers_ = observers;
   }
   aim_.fetch_add(1);
   aim_.notify_all();
@@ -162,13 +162,13 @@ void FacetScenes::work() {
       aim_.wait(served);
       continue;
     }
-    Vec3 observer;
+    stream::Observers observers;
     {
       const std::lock_guard lock(mutex_);
-      observer = observer_;
+      observers = observers_;
     }
     bool moved_on = false;
-    attempt([&] { moved_on = !loadAround(observer); });
+    attempt([&] { moved_on = !loadAround(observers); });
     if (moved_on) continue;
     served = aim;
     done_ = aim;
@@ -176,13 +176,13 @@ void FacetScenes::work() {
   }
 }
 
-bool FacetScenes::loadAround(Vec3 observer) {
+bool FacetScenes::loadAround(const stream::Observers& observers) {
   const uint32_t aim = aim_.load();
   using Place = std::pair<float, uint32_t>;  // distance, level-0 tile
   std::vector<Place> far;                    // what is here, the farthest last
-  for (const auto& [tile, facets] : loaded_) far.emplace_back(facets->tile.info().bounds.distance(observer), tile);
+  for (const auto& [tile, facets] : loaded_) far.emplace_back(observers.distance(facets->tile.info().bounds), tile);
   std::ranges::sort(far);
-  NearestTiles nearest(world_, observer);
+  NearestTiles nearest(world_, observers);
   auto published = std::chrono::steady_clock::now();
   while (const std::optional<NearestTiles::Place> next = nearest.next()) {
     if (stop_ || aim_.load() != aim) break;

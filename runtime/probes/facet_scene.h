@@ -11,6 +11,7 @@
 
 #include "formats/read/reader.h"
 #include "runtime/probes/box_tree.h"
+#include "stream/observers.h"
 #include "stream/tile_map.h"
 
 namespace ff::runtime {
@@ -59,7 +60,7 @@ class FacetScenes {
 
   // The owner's calls, of one thread. They allocate and free nothing and never wait; the lock that they take guards
   // only swaps.
-  void moveTo(Vec3 observer);
+  void moveTo(const stream::Observers& observers);
   // Null: none yet. The same until update() says true.
   const FacetScene* scene() const { return scene_.get(); }
   bool update();
@@ -67,13 +68,13 @@ class FacetScenes {
 
   // Whether memory or a thread for it was lacking at some time: probes then meet planes where triangles could not be loaded. Any thread.
   bool starved() const { return starved_.load(); }
-  // Blocks until the scene for the last observer is here.
+  // Blocks until the scene for the last observers is here.
   void settle();
 
  private:
   using ScenePtr = std::unique_ptr<const FacetScene>;
   void work();
-  bool loadAround(Vec3 observer);  // false: the observer has moved on
+  bool loadAround(const stream::Observers& observers);  // false: they have moved on
   std::shared_ptr<const TileFacets> load(const formats::TileRef& tile) const;
   void publish();
 
@@ -81,13 +82,13 @@ class FacetScenes {
   const uint64_t memory_bytes_;
   // The owner's.
   ScenePtr scene_, next_;
-  Vec3 aimed_at_;
+  stream::Observers aimed_at_;
   bool aimed_ = false;
   // Handed over.
   std::mutex mutex_;
-  Vec3 observer_;
+  stream::Observers observers_;
   ScenePtr published_, returned_;
-  std::atomic<uint32_t> aim_{0}, done_{0};  // number of the last observer, and of the last that was served
+  std::atomic<uint32_t> aim_{0}, done_{0};  // number of the last observers, and of the last that were served
   std::atomic<bool> fresh_{false}, stop_{false}, starved_{false};
   std::atomic<uint32_t> published_count_{0};
   // The thread's.

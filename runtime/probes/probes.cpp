@@ -57,8 +57,8 @@ Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSet
       met_(rays_.size()),
       facets_(world, settings.facet_bytes) {}
 
-void Probes::follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut) {
-  facets_.moveTo(observer);
+void Probes::follow(const stream::Observers& observers, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut) {
+  facets_.moveTo(observers);
   const bool fresh = facets_.update();
   if (fresh) ++state_;
   if (fresh || cut != cut_) hideCovered();

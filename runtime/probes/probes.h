@@ -43,9 +43,9 @@ class Probes {
   // slots: of the cut that follow() is told of. Both outlive the probes.
   Probes(const formats::World& world, const SlotMap& slots, const ProbeSettings& settings);
 
-  // Where the observer is, and the cut from now on: before sample(). leaf: by slot. cut: a number that differs whenever
+  // Where observers are, and the cut from now on: before sample(). leaf: by slot. cut: a number that differs whenever
   // the tiles, their slots or `leaf` do; costs little when it does not.
-  void follow(Vec3 observer, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut);
+  void follow(const stream::Observers& observers, std::span<const ProbeTile> tiles, std::span<const uint8_t> leaf, uint64_t cut);
   // Irradiance, W/m2, of a surface at each point that faces along its normal (of any length), from everything but what
   // the caller has as direct light: radiosity of surfaces and the sky. radiosity: W/m2, by slot. The answer is a
   // function of the point, the cut and the light; only a probe that was kept over a change of the cut, because

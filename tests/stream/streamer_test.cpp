@@ -439,6 +439,55 @@ TEST_F(StreamerTest, WhatThePathWillWantIsThereBeforeItIsWanted) {
   }
 }
 
+TEST_F(StreamerTest, SeveralObserversSeeWhatEachWouldAloneAndShareIt) {
+  const Vec3 places[] = {{10, 1, 10}, {14, 1, 12}, {50, 1, 40}};
+  std::set<TileId> together, read;
+  uint64_t alone_strips = 0;
+  for (const Vec3 at : places) {
+    const auto streamer = make(kNoHistory, memory());
+    streamer->update(at, {});
+    ASSERT_TRUE(streamer->settle());
+    for (const TileId id : ids(*streamer)) together.insert(id);
+    alone_strips += streamer->stats().strips_read;
+  }
+  const auto streamer = make(kNoHistory, memory());
+  std::array<Observer, 3> all;
+  for (size_t i = 0; i < all.size(); ++i) all[i] = {places[i], {}};
+  streamer->update(Observers(std::span(all)));
+  ASSERT_TRUE(streamer->settle());
+  EXPECT_EQ(ids(*streamer), std::vector<TileId>(together.begin(), together.end()));
+  EXPECT_LT(streamer->stats().strips_read, alone_strips);
+  streamer->update(Observers(std::span(all).first(1)));  // the others have gone
+  ASSERT_TRUE(streamer->settle());
+  EXPECT_EQ(ids(*streamer), wantedByDefinition(places[0], kNoHistory.radius_m, kNoHistory.growth));
+}
+
+TEST_F(StreamerTest, WhatThePathsOfSeveralObserversWillWantIsThereBeforeItIsWanted) {
+  const float step_seconds = 0.02f, speed = 25;
+  StreamSettings settings = kNoHistory;
+  settings.radius_m = 2;
+  for (const float ahead_seconds : {0.5f, 0.0f}) {
+    settings.ahead_seconds = ahead_seconds;
+    const auto streamer = make(settings, memory());
+    std::array<Observer, 3> all{Observer{{10, 1, 12}, {speed, 0, 0}}, Observer{{55, 1, 50}, {0, 0, -speed}}, Observer{{30, 1, 30}, {}}};
+    streamer->update(Observers(std::span(all)));
+    ASSERT_TRUE(streamer->settle());
+    uint32_t late = 0;
+    for (int step = 0; step < 60; ++step) {
+      for (Observer& observer : all) observer.at += observer.velocity * step_seconds;
+      streamer->update(Observers(std::span(all)));
+      const auto now = ids(*streamer);
+      for (const Observer& observer : all)
+        for (const TileId id : wantedByDefinition(observer.at, settings.radius_m, settings.growth)) late += !std::ranges::binary_search(now, id);
+      ASSERT_TRUE(streamer->settle());
+    }
+    if (ahead_seconds > 0)
+      EXPECT_EQ(late, 0u);
+    else
+      EXPECT_GT(late, 10u);
+  }
+}
+
 TEST_F(StreamerTest, WhatIsReadAheadKeepsToItsBudgetAndIsGivenUpForWhatIsWanted) {
   uint32_t ahead = 0;
   for (const auto& [memory_bytes, ahead_bytes] : {std::pair<uint64_t, uint64_t>{500000, 1 << 20}, {1 << 20, 1 << 20}, {2 << 20, 1 << 20}, {8 << 20, 200000}}) {

@@ -1,5 +1,6 @@
 #include "runtime/api/formfield.h"
 
+#include <set>
 #include <cmath>
 #include <fstream>
 #include <thread>
@@ -103,6 +104,39 @@ TEST_F(Formfield, GivesTheLightOfTheRuntimeBeneath) {
     }
   EXPECT_GT(compared, 1000u);
   EXPECT_LT(stats().residual, 1e-6);
+}
+
+TEST_F(Formfield, SeveralObserversHaveOneWorld) {
+  open();
+  const FormfieldObserver all[] = {{{10, 1, 10}, {}}, {{50, 1, 40}, {}}};
+  const auto patchesThere = [&] {  // at full resolution
+    EXPECT_EQ(formfieldSettle(world_, 1e-6f, 1000), FORMFIELD_OK);
+    uint32_t tiles = 0;
+    std::set<uint32_t> patches;
+    const FormfieldTile* const tile = formfieldTiles(world_, &tiles, nullptr);
+    for (uint32_t t = 0; t < tiles && tile[t].level == 0; ++t) patches.insert(tile[t].first_node);
+    return patches;
+  };
+  std::set<uint32_t> expected;
+  for (const FormfieldObserver& one : all) {
+    ASSERT_EQ(formfieldFrame(world_, one.position, one.velocity), FORMFIELD_OK);
+    expected.merge(patchesThere());
+  }
+  ASSERT_EQ(formfieldFrameFor(world_, 2, all), FORMFIELD_OK) << formfieldError(device_);
+  EXPECT_EQ(patchesThere(), expected);
+  // Samples near either.
+  const float points[] = {10, 1, 10, 50, 1, 40}, normals[] = {0, 1, 0, 0, 1, 0};
+  float irradiance[6] = {};
+  ASSERT_EQ(formfieldSample(world_, 2, points, normals, irradiance), FORMFIELD_OK);
+  EXPECT_GT(irradiance[0], 0);
+  EXPECT_GT(irradiance[3], 0);
+  const std::vector<FormfieldObserver> many(FORMFIELD_MAX_OBSERVERS + 1);
+  EXPECT_EQ(formfieldFrameFor(world_, FORMFIELD_MAX_OBSERVERS, many.data()), FORMFIELD_OK);
+  EXPECT_EQ(formfieldFrameFor(world_, FORMFIELD_MAX_OBSERVERS + 1, many.data()), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldFrameFor(world_, 0, many.data()), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldFrameFor(world_, 1, nullptr), FORMFIELD_ERROR_USAGE);
+  const FormfieldObserver nowhere{{NAN, 0, 0}, {}};
+  EXPECT_EQ(formfieldFrameFor(world_, 1, &nowhere), FORMFIELD_ERROR_USAGE);
 }
 
 TEST_F(Formfield, ListsLampGroupsAndSwitchesThemAtEverySlot) {

@@ -87,7 +87,7 @@ struct Frame {
     tiles.clear();
     for (size_t t = 0; t < updater.matrix().tiles.size(); ++t)
       tiles.push_back({updater.matrix().tiles[t].id, updater.matrix().tiles[t].first_slot, streamer->active()[t]->nodes});
-    probes.follow(at, tiles, updater.matrix().leaf, ++cut);
+    probes.follow(stream::Observer{at, {}}, tiles, updater.matrix().leaf, ++cut);
     probes.settle();
   }
   Vec3 sample(Vec3 point, Vec3 normal) {
@@ -184,12 +184,12 @@ TEST(FacetScenes, GoOnWithWhatTheyHaveWhileMemoryIsLacking) {
   ASSERT_TRUE(world) << world.error().line();
   FacetScenes scenes(*world, 1 << 26);
   refuseOthersEveryNth(1);
-  scenes.moveTo({});
+  scenes.moveTo(stream::Observers());
   scenes.settle();
   refuseOthersEveryNth(0);
   EXPECT_TRUE(scenes.starved());
   EXPECT_EQ(scenes.tiles(), 0u);
-  scenes.moveTo({1000, 0, 0});
+  scenes.moveTo(stream::Observer{{1000, 0, 0}, {}});
   scenes.settle();
   EXPECT_EQ(scenes.tiles(), world->tiles(0).size());
 }
@@ -407,9 +407,9 @@ TEST(Probes, FollowingAndSamplingAllocateAndFreeNothing) {
     const Vec3 at = home + Vec3{static_cast<float>(step % 4) * 5 - 8, 0, static_cast<float>(step / 4) * 6 - 8};
     frame.goTo(at);
     const MemoryCalls before = memoryCalls();
-    frame.probes.follow(at + Vec3{5, 0, 0}, frame.tiles, frame.updater.matrix().leaf, ++frame.cut);
+    frame.probes.follow(stream::Observer{at + Vec3{5, 0, 0}, {}}, frame.tiles, frame.updater.matrix().leaf, ++frame.cut);
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
-    frame.probes.follow(at, frame.tiles, frame.updater.matrix().leaf, ++frame.cut);
+    frame.probes.follow(stream::Observer{at, {}}, frame.tiles, frame.updater.matrix().leaf, ++frame.cut);
     float sum = 0;
     for (const Place& p : probes) sum += frame.sample(p.point, p.normal).y;
     const MemoryCalls after = memoryCalls();
