@@ -4,7 +4,9 @@
 #include <cmath>
 #include <cstddef>
 
+#include "formats/storage/storage.h"
 #include "runtime/api/formfield_handles.h"
+#include "runtime/clock.h"
 #include "runtime/dense/cpu_multibounce.h"
 #include "runtime/dense/cpu_seed.h"
 
@@ -80,6 +82,7 @@ Result<void> check(const FormfieldWorldSettings& s) {
   if (s.dense_places == 0 || s.dense_places > kMaxSlots)
     return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
   if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "8 is a good value");
+  if (s.logged_frames > (1u << 20)) return usageError("logged_frames", "are more than a million");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
   return {};
 }
@@ -154,7 +157,8 @@ FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<format
       streamer(std::move(strips)),
       choice(chosen),
       solver(std::move(made)),
-      updater(*world, *streamer, current, FarLight::kPyramid, true, {.frames = on.fades() ? with.fade_frames : 0}) {
+      updater(*world, *streamer, current, FarLight::kPyramid, true, {.frames = on.fades() ? with.fade_frames : 0}),
+      log(with.logged_frames) {
   updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   if (settings.probes > 0) {
     ProbeSettings probe_settings;
@@ -203,8 +207,10 @@ Result<void> FormfieldWorld_T::frame(const stream::Observers& now) {
 Result<void> FormfieldWorld_T::step(const stream::Observers& now) {
   observers = now;
   const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
+  const auto began = Clock::now();
   const auto stats = updater.frame(now, iterations);
   if (!stats) return stats.error();
+  log.add(began, *stats, streamer->stats());
   followCut(*stats);
   return {};
 }
@@ -335,6 +341,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->probe_rays = 256;
   settings->probe_memory_bytes = uint64_t{64} << 20;
   settings->fade_frames = 8;
+  settings->logged_frames = 1024;
 }
 
 FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, const FormfieldWorldSettings* settings,
@@ -575,12 +582,27 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
       report.probe_tiles = p.facet_tiles;
       report.samples_refused = p.refused;
     }
+    const FrameLog::Times times = w.log.times();
+    report.frame_ms_p50 = times.p50_ms;
+    report.frame_ms_p99 = times.p99_ms;
+    report.frame_ms_max = times.max_ms;
+    report.late_tiles = s.late_tiles;
+    report.ahead_tiles = s.ahead_tiles;
     report.light_zeroed = w.light_zeroed;
     report.light_repaired = w.repaired_before + w.solver.solver->repaired();
     report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
     report.settled = w.settled.settled;
     report.settle_change = w.settled.change;
     return giveReport(report, stats);
+  });
+}
+
+FormfieldResult formfieldWriteTrace(FormfieldWorld world, const char* path) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!path) return usageError("path", "is NULL");
+    if (w.settings.logged_frames == 0) return usageError("logged_frames", "is 0: no frame is kept", "set FormfieldWorldSettings::logged_frames");
+    const std::string trace = w.log.trace();
+    return formats::writeWholeFile(*formats::posixStorage(), path, std::as_bytes(std::span(trace)));
   });
 }
 

@@ -96,6 +96,7 @@ typedef struct FormfieldWorldSettings {
   uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
   uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns; 0: at once. What is needed is loaded so much
                                   earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
+  uint32_t logged_frames;      /* the last so many frames are kept, 64 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */
@@ -260,9 +261,14 @@ typedef struct FormfieldStats {
   uint64_t light_zeroed;                       /* callbacks' values that were no light, taken for zero */
   uint64_t light_repaired;                     /* solver's values that were not finite or past 1e15 W/m2 */
   uint64_t samples_refused; /* points answered with zero: they or their normals are not finite, or 0 */
+  double frame_ms_p50, frame_ms_p99, frame_ms_max; /* of the frames that are kept: what the frame's thread took but for the solver; half of them at most, ... */
+  uint32_t late_tiles, ahead_tiles;            /* wanted and not there yet; read ahead, or on the way, for where the observers will be */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
+/* The frames that are kept (FormfieldWorldSettings::logged_frames) as a file for chrome://tracing or ui.perfetto.dev: what each frame's thread did and how
+ * its tiles stood. Allocates and waits for the file. */
+FormfieldResult formfieldWriteTrace(FormfieldWorld world, const char* path);
 /* "cpu", "vulkan: NAME": what computes the light now. Valid until the next frame. */
 const char* formfieldSolverName(FormfieldWorld world);
 /* Why this solver: empty before it is settled. */

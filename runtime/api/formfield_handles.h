@@ -13,6 +13,7 @@
 #include "runtime/choose_solver.h"
 #include "runtime/cut/slot_map.h"
 #include "runtime/dense/dense_solver.h"
+#include "runtime/frame_log.h"
 #include "runtime/probes/probes.h"
 #include "runtime/solver/residual_monitor.h"
 #include "runtime/updater.h"
@@ -124,6 +125,7 @@ struct FormfieldWorld_T {
   // Of the last frame.
   ff::stream::Observers observers;
   ff::runtime::FrameStats frame_stats;
+  ff::runtime::FrameLog log;
   ff::runtime::Settled settled;  // by the last settle()
   uint64_t light_zeroed = 0;     // since the start
   uint64_t repaired_before = 0;  // by solvers that are no longer in use

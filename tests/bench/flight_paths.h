@@ -20,7 +20,7 @@ struct FlightPath {
   std::function<Moment(int pass, double seconds)> moment;
 };
 
-// Over `bounds`, eyes at height y, each path for about so many seconds: straight lines at 30 and 80 m/s; turns of 90 degrees every 20 m at 30 m/s; to and
+// Over `bounds`, eyes at height y, each path for about so many seconds: straight lines at 30, 60 and 80 m/s; turns of 90 degrees every 20 m at 30 m/s; to and
 // fro over 10 m at 30 m/s; teleports every second, walking at 5 m/s in between.
 std::vector<FlightPath> flightPaths(const Box& bounds, float y, double seconds);
 

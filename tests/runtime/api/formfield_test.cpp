@@ -1,8 +1,9 @@
 #include "runtime/api/formfield.h"
 
-#include <set>
 #include <cmath>
 #include <fstream>
+#include <nlohmann/json.hpp>
+#include <set>
 #include <thread>
 
 #include "runtime/choose_solver.h"
@@ -137,6 +138,44 @@ TEST_F(Formfield, SeveralObserversHaveOneWorld) {
   EXPECT_EQ(formfieldFrameFor(world_, 1, nullptr), FORMFIELD_ERROR_USAGE);
   const FormfieldObserver nowhere{{NAN, 0, 0}, {}};
   EXPECT_EQ(formfieldFrameFor(world_, 1, &nowhere), FORMFIELD_ERROR_USAGE);
+}
+
+TEST_F(Formfield, KeepsItsLastFramesAsFiguresAndAsATrace) {
+  settings_.logged_frames = 8;
+  open();
+  for (int k = 0; k < 20; ++k) frame({30 + 0.5f * static_cast<float>(k), 1, 30});
+  const FormfieldStats s = stats();
+  EXPECT_GT(s.frame_ms_p50, 0);
+  EXPECT_LE(s.frame_ms_p50, s.frame_ms_p99);
+  EXPECT_LE(s.frame_ms_p99, s.frame_ms_max);
+  const formats::TemporaryFolder folder;
+  const std::string path = folder.file("trace.json");
+  ASSERT_EQ(formfieldWriteTrace(world_, path.c_str()), FORMFIELD_OK) << formfieldError(device_);
+  std::ifstream in(path);
+  const auto trace = nlohmann::json::parse(in);
+  int solver = 0, late = 0;
+  double last = -1, longest = 0;
+  for (const auto& event : trace.at("traceEvents")) {
+    EXPECT_GE(event.at("ts").get<double>(), 0);
+    if (event.at("name") == "tiles") late += event.at("args").contains("late");
+    if (event.at("name") != "stream") {
+      solver += event.at("name") == "solver";
+      continue;
+    }
+    EXPECT_GT(event.at("ts").get<double>(), last);  // frame after frame
+    last = event.at("ts");
+    longest = std::max(longest, event.at("dur").get<double>());
+  }
+  EXPECT_EQ(solver, 8);
+  EXPECT_EQ(late, 8);
+  EXPECT_LE(longest, 1000 * s.frame_ms_max * 1.001);
+  EXPECT_EQ(formfieldWriteTrace(world_, (path + "/no").c_str()), FORMFIELD_ERROR_IO);
+  formfieldCloseWorld(world_);
+  settings_.logged_frames = 0;
+  ASSERT_EQ(formfieldOpenWorld(device_, test_.world().path().c_str(), &settings_, &world_), FORMFIELD_OK);
+  frame({30, 1, 30});
+  EXPECT_EQ(stats().frame_ms_max, 0);
+  EXPECT_EQ(formfieldWriteTrace(world_, path.c_str()), FORMFIELD_ERROR_USAGE);
 }
 
 TEST_F(Formfield, ListsLampGroupsAndSwitchesThemAtEverySlot) {
