@@ -12,6 +12,8 @@
 namespace ff::stream {
 namespace {
 
+constexpr int kThreads = 4, kRemoteThreads = 16;
+
 class ThreadSource final : public TileSource {
  public:
   ThreadSource(const formats::World& world, int threads) : world_(world), random_(world) {
@@ -85,7 +87,9 @@ std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int th
 
 std::unique_ptr<TileSource> makeFileSource(const formats::World& world) {
   if (auto uring = makeUringSource(world)) return std::move(*uring);
-  return makeThreadSource(world);
+  // What has no descriptors may lie behind a network: a thread for each read that waits for it.
+  const auto descriptor = world.descriptor(0);
+  return makeThreadSource(world, descriptor && *descriptor < 0 ? kRemoteThreads : kThreads);
 }
 
 }  // namespace ff::stream

@@ -24,8 +24,8 @@ struct ShardInfo {
 
 class World {
  public:
-  // path: the .ffm file. Errors: kIo (missing, unreadable), kInvalidFile (each with place and remedy).
-  static Result<World> open(const std::string& path, const StoragePtr& storage = posixStorage());
+  // path: the .ffm file, or its address. storage: null: storageFor(path). Errors: kIo (missing, unreadable), kInvalidFile (each with place and remedy).
+  static Result<World> open(const std::string& path, const StoragePtr& storage = nullptr);
   World(World&&) noexcept;
   World& operator=(World&&) noexcept;
   ~World();

@@ -11,6 +11,7 @@ Result<std::unique_ptr<StoredFile>> openShard(Storage& storage, const std::strin
   if (!opened) return opened.error();
   const StoredFile& file = **opened;
   const auto broken = [&](uint64_t offset, const std::string& message) {
+    file.forget(0, file.bytes());
     return Error{ErrorCode::kInvalidFile, path, "offset " + std::to_string(offset), message, "restore the world's files from one copy, or bake again"};
   };
   if (file.bytes() != record.bytes || file.bytes() < kShardHeaderBytes)

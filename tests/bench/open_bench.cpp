@@ -48,7 +48,7 @@ class CountingStorage final : public formats::Storage {
     uint64_t bytes() const override { return below_->bytes(); }
 
    private:
-    Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
+    Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const formats::ReadOptions& options) const override {
       read_ += out.size();
       return below_->read(offset, out);
     }
