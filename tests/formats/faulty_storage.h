@@ -67,10 +67,10 @@ class FaultyStorage final : public Storage {
     uint64_t bytes() const override { return below_->bytes(); }
 
    private:
-    Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions& options) const override {
+    Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions&) const override {
       if (storage_.fails()) return fault(path(), "offset " + std::to_string(offset));
       if (storage_.on_read) storage_.on_read();
-      return below_->read(offset, out, options);
+      return below_->read(offset, out);
     }
 
     FaultyStorage& storage_;
