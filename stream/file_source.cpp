@@ -62,7 +62,7 @@ class ThreadSource final : public TileSource {
   }
 
   Result<std::vector<std::byte>> readBlocking(const formats::Extent& extent, const formats::ReadOptions& options) try {
-    random_.expect(extent.shard, world_.descriptor(extent.shard));
+    random_.expect(extent.shard, world_.descriptor(extent.shard, options));
     std::vector<std::byte> bytes(extent.stored_bytes);
     if (auto ok = world_.readStored(extent, bytes, options); !ok) return ok.error();
     return bytes;

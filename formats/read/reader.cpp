@@ -26,7 +26,7 @@ struct World::State {
   mutable std::map<TileId, std::weak_ptr<const Chunk>> chunks;            // by their first tile
   mutable size_t sweep_at = 64;                                           // chunks: expired ones are forgotten then
 
-  Result<const StoredFile*> file(uint32_t shard) const;
+  Result<const StoredFile*> file(uint32_t shard, const ReadOptions& options = {}) const;
   // Whether what the index names is there, as the manifest has it.
   bool holds(uint32_t kind, const Extent& e) const {
     return e.shard < shards.size() && shards[e.shard].kind == kind && e.offset >= kShardHeaderBytes && e.offset <= shards[e.shard].bytes &&
@@ -81,30 +81,30 @@ std::span<const LevelInfo> World::levels() const { return state_->manifest.level
 std::span<const ShardInfo> World::shards() const { return state_->shards; }
 const ChunkPtr& World::root() const { return state_->manifest.root; }
 
-Result<const StoredFile*> World::State::file(uint32_t shard) const {
+Result<const StoredFile*> World::State::file(uint32_t shard, const ReadOptions& options) const {
   const std::lock_guard lock(mutex);
   if (!files[shard]) {
-    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard]);
+    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard], options);
     if (!opened) return opened.error();
     files[shard] = std::move(*opened);
   }
   return files[shard].get();
 }
 
-Result<int> World::descriptor(uint32_t shard) const {
-  auto file = state_->file(shard);
+Result<int> World::descriptor(uint32_t shard, const ReadOptions& options) const {
+  auto file = state_->file(shard, options);
   if (!file) return file.error();
   return (*file)->descriptor();
 }
 
 Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options) const {
   FF_CHECK_EQ(out.size(), size_t{extent.stored_bytes});
-  auto file = state_->file(extent.shard);
+  auto file = state_->file(extent.shard, options);
   if (!file) return file.error();
   return (*file)->read(extent.offset, out, options);
 }
 
-Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try {
+Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options) const try {
   const State& s = *state_;
   const TileId key{parent->level - 1, parent->firstTileOf(child)};
   {
@@ -121,7 +121,7 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try 
     return inRecord({ErrorCode::kInvalidFile, "", chunkText(key.level, wanted.cell) + " at offset " + std::to_string(wanted.record.offset), what, kRemedy});
   };
   std::vector<std::byte> stored(wanted.record.stored_bytes);
-  if (auto ok = readStored(wanted.record, stored); !ok) return ok.error();
+  if (auto ok = readStored(wanted.record, stored, options); !ok) return ok.error();
   if (hashBytes(stored) != wanted.record.checksum) {
     s.forget(wanted.record);
     return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");

@@ -179,7 +179,7 @@ class CachedFile final : public StoredFile {
     {
       const std::lock_guard lock(open_mutex_);
       if (!file_) {
-        auto opened = storage_->open(path());
+        auto opened = storage_->open(path(), options);
         if (!opened) return opened.error();
         if ((*opened)->bytes() != bytes_) {
           forget(0, bytes_);
@@ -223,15 +223,15 @@ class CachedStorage final : public ReadOnlyStorage {
  public:
   CachedStorage(StoragePtr below, const CacheSettings& settings) : below_(std::move(below)), folder_(std::make_shared<CacheFolder>(settings)) {}
 
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
-    if (!tellsItsContent(fileNameOf(path))) return below_->open(path);
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options) override {
+    if (!tellsItsContent(fileNameOf(path))) return below_->open(path, options);
     Descriptor fd = folder_->open(path);
-    if (!fd) return below_->open(path);
+    if (!fd) return below_->open(path, options);
     auto header = std::make_unique<Header>();
     std::unique_ptr<StoredFile> file;
     if (::pread(fd.get(), header.get(), sizeof(Header), 0) != sizeof(Header) || header->checksum != header->sum() || header->magic != Header().magic ||
         path != header->path.data()) {
-      auto opened = below_->open(path);
+      auto opened = below_->open(path, options);
       if (!opened) return opened.error();
       file = std::move(*opened);
       *header = {.bytes = file->bytes()};

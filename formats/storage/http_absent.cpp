@@ -6,7 +6,7 @@ namespace {
 
 class AbsentHttpStorage final : public ReadOnlyStorage {
  public:
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override { return absent(path); }
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions&) override { return absent(path); }
   Result<bool> exists(const std::string& path) override { return absent(path); }
 
  private:

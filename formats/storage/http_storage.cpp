@@ -324,27 +324,27 @@ class HttpStorage final : public ReadOnlyStorage {
  public:
   explicit HttpStorage(const HttpSettings& settings) : client_(std::make_shared<Client>(settings)) {}
 
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options) override {
     uint64_t status = 0;
-    return openWith(path, status);
+    return openWith(path, options, status);
   }
   // Where names are not told to strangers a file that is absent is forbidden (403).
   Result<bool> exists(const std::string& path) override {
     uint64_t status = 0;
-    if (auto file = openWith(path, status); file) return true;
+    if (auto file = openWith(path, {}, status); file) return true;
     else if (status == 403 || status == 404 || status == 410) return false;
     else return file.error();
   }
 
  private:
-  Result<std::unique_ptr<StoredFile>> openWith(const std::string& path, uint64_t& status) try {
+  Result<std::unique_ptr<StoredFile>> openWith(const std::string& path, const ReadOptions& options, uint64_t& status) try {
     const size_t host = path.find("//") + 2, at = path.find('@', host);
     if (at < path.find('/', host))
       return Error{ErrorCode::kIo, path.substr(0, host) + "..." + path.substr(at), "", "has a password in its address, where others would see it", "put it into ~/.netrc"};
     const std::string address = addressOf(path);
     std::vector<std::byte> first(kFirstRange);
     Transfer transfer{0, first};
-    auto fetched = client_->fetch(address, transfer, {});
+    auto fetched = client_->fetch(address, transfer, options);
     status = transfer.headers.status;
     if (!fetched) return fetched.error();
     first.resize(transfer.done);

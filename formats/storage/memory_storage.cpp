@@ -64,7 +64,7 @@ class MemoryClaim final : public Claim {
   const std::string path_;
 };
 
-Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path) {
+Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path, const ReadOptions&) {
   const std::lock_guard lock(mutex_);
   const auto found = names_.find(plain(path));
   if (found == names_.end()) return absent(path);

@@ -78,7 +78,7 @@ class PosixClaim final : public Claim {
 
 class PosixStorage final : public Storage {
  public:
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions&) override {
     Descriptor fd(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
     if (!fd) return systemError(path, "cannot open");
     struct stat s {};

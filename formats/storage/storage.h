@@ -71,8 +71,8 @@ class Claim {
 class Storage {
  public:
   virtual ~Storage() = default;
-  // Regular files only.
-  virtual Result<std::unique_ptr<StoredFile>> open(const std::string& path) = 0;
+  // Regular files only. options: as those of a read, where opening takes time (over a network).
+  virtual Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options = {}) = 0;
   // Empties a file that is there.
   virtual Result<std::unique_ptr<NewFile>> create(const std::string& path) = 0;
   // In one step; takes the place of a file that is there.

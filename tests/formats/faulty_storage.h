@@ -18,9 +18,9 @@ class FaultyStorage final : public Storage {
   bool folders_can_sync = true;
   std::function<void()> on_read{};  // with every piece that is read: to take its time, for one
 
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options = {}) override {
     if (fails()) return fault(path);
-    auto file = below_->open(path);
+    auto file = below_->open(path, options);
     if (!file) return file.error();
     return std::unique_ptr<StoredFile>(std::make_unique<File>(*this, path, std::move(*file)));
   }

@@ -102,6 +102,24 @@ TEST_F(RemoteWorld, NoUpdateWaitsForAServerThatDoesNotAnswer) {
   expectSame(*far, *near);
 }
 
+TEST_F(RemoteWorld, ClosingWaitsForNoServerThatDoesNotAnswer) {
+  formats::WebServer server;
+  serve(server);
+  auto world = open(server.address("/w.ffm"), formats::httpStorage());
+  auto streamer = start(*world);
+  std::atomic<uint64_t> asked = 0;
+  server.spoil = [&](const formats::WebServer::Request&, formats::WebServer::Reply& reply) { ++asked, reply.delay = 60s; };
+  for (int step = 0; asked < 2 && step < 10000; ++step) {
+    streamer->update(at(step % kSteps), kVelocity);
+    std::this_thread::sleep_for(1ms);
+  }
+  const auto start = std::chrono::steady_clock::now();
+  streamer.reset();
+  world.reset();
+  EXPECT_LT(std::chrono::steady_clock::now() - start, 10s) << "half of the time after which a line that stands still is given up";
+  EXPECT_GE(asked, 2u);
+}
+
 TEST_F(RemoteWorld, ManyReadsAreUnderWayOverALineThatTakesItsTime) {
   formats::WebServer server;
   serve(server);
