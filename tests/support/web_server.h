@@ -32,7 +32,24 @@ class WebServer {
     std::chrono::milliseconds delay{};
   };
   std::map<std::string, std::string> files{};               // by path; filled before there are requests
-  std::function<void(const Request&, Reply&)> spoil{};      // looks at each reply, and may change it; from many threads
+  // Looks at each reply, and may change it; from many threads. May be set at any time: replies under way still know the one before.
+  class Spoil {
+   public:
+    using Function = std::function<void(const Request&, Reply&)>;
+    Spoil& operator=(Function function) {
+      const std::lock_guard lock(mutex_);
+      function_ = std::move(function);
+      return *this;
+    }
+    Function get() const {
+      const std::lock_guard lock(mutex_);
+      return function_;
+    }
+
+   private:
+    mutable std::mutex mutex_;
+    Function function_;
+  } spoil{};
   std::atomic<uint64_t> requests = 0, connections = 0, body_bytes = 0, at_a_time = 0, most_at_a_time = 0;
 
   WebServer() {
@@ -115,7 +132,7 @@ class WebServer {
       }
     }
     reply.length = std::to_string(reply.body.size());
-    if (spoil) spoil(request, reply);
+    if (const Spoil::Function function = spoil.get()) function(request, reply);
     for (const auto until = std::chrono::steady_clock::now() + reply.delay; std::chrono::steady_clock::now() < until && !stop_;)
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
     std::string all = "HTTP/1.1 " + std::to_string(reply.status) + " x\r\n" + reply.headers;
