@@ -20,8 +20,9 @@ std::string settingsPath(const std::string& world_path) {
   return path.string() + ".settings.json";
 }
 
-Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path, formats::Storage& storage) {
+Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path) {
   const std::string path = settingsPath(world_path);
+  formats::Storage& storage = *formats::storageFor(path);
   const auto there = storage.exists(path);
   if (!there) return there.error();
   if (!*there) return std::optional<SolverChoice>();

@@ -28,8 +28,7 @@ std::string settingsPath(const std::string& world_path);
 
 // The choice stored beside a world (runtime/README.md has the keys); nothing where there is no such file. Errors: kIo;
 // kInvalidFile where it is no JSON object or a value has no meaning. Keys that are not known are ignored.
-Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path,
-                                                       formats::Storage& storage = *formats::posixStorage());
+Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_path);
 
 inline constexpr uint32_t kMaxDenseLeaves = 4096;
 

@@ -12,6 +12,8 @@
 namespace ff::stream {
 namespace {
 
+constexpr int kThreads = 4, kRemoteThreads = 16;
+
 class ThreadSource final : public TileSource {
  public:
   ThreadSource(const formats::World& world, int threads) : world_(world), random_(world) {
@@ -60,7 +62,7 @@ class ThreadSource final : public TileSource {
   }
 
   Result<std::vector<std::byte>> readBlocking(const formats::Extent& extent, const formats::ReadOptions& options) try {
-    random_.expect(extent.shard, world_.descriptor(extent.shard));
+    random_.expect(extent.shard, world_.descriptor(extent.shard, options));
     std::vector<std::byte> bytes(extent.stored_bytes);
     if (auto ok = world_.readStored(extent, bytes, options); !ok) return ok.error();
     return bytes;
@@ -85,7 +87,9 @@ std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int th
 
 std::unique_ptr<TileSource> makeFileSource(const formats::World& world) {
   if (auto uring = makeUringSource(world)) return std::move(*uring);
-  return makeThreadSource(world);
+  // What has no descriptors may lie behind a network: a thread for each read that waits for it.
+  const auto descriptor = world.descriptor(0);
+  return makeThreadSource(world, descriptor && *descriptor < 0 ? kRemoteThreads : kThreads);
 }
 
 }  // namespace ff::stream

@@ -194,7 +194,7 @@ void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) 
 const formats::Chunk* PathPlanner::look(const formats::Chunk& parent, uint32_t child, Plan& plan) {
   Here& here = chunks_[{parent.level - 1, parent.firstTileOf(child)}];
   if (!here.chunk && Clock::now() >= here.retry_at) {
-    auto read = world_.child(parent.shared_from_this(), child);
+    auto read = world_.child(parent.shared_from_this(), child, {.cancelled = &stop_});
     if (read)
       here.chunk = std::move(*read);
     else

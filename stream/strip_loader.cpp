@@ -246,7 +246,7 @@ std::optional<ChunkRequest> StripLoader::nextChunk() {
 void StripLoader::readChunk(const ChunkRequest& request) {
   Result<formats::ChunkPtr> chunk = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
   try {
-    chunk = world_.child(request.parent, request.child);
+    chunk = world_.child(request.parent, request.child, {.cancelled = &cancel_reads_});
   } catch (const std::bad_alloc&) {  // also of the line that would say so
   }
   const std::lock_guard lock(pipeline_mutex_);

@@ -50,7 +50,7 @@ int run(int argc, char** argv) {
   std::function<Result<void>()> command;
   const auto addCommand = [&](const char* name, const char* help, std::function<Result<void>()> run) {
     CLI::App* sub = app.add_subcommand(name, help);
-    sub->add_option("world", a.world, "manifest, NAME.ffm")->required();
+    sub->add_option("world", a.world, "manifest, NAME.ffm, or its address behind a web server, https://.../NAME.ffm")->required();
     sub->add_flag("--json", a.out.json, "print one JSON document");
     sub->callback([&command, run = std::move(run)] { command = run; });
     return sub;
@@ -58,7 +58,9 @@ int run(int argc, char** argv) {
   const auto opening = [&]<class World, class Run>(Run run) {
     return [&a, run = std::move(run)]() -> Result<void> {
       const auto world = World::open(a.world);
-      return world ? run(*world) : Result<void>(world.error());
+      const auto ok = world ? run(*world) : Result<void>(world.error());
+      if (const std::string warning = formats::storageFor(a.world)->warning(); !warning.empty()) std::fprintf(stderr, "ffinspect: %s\n", warning.c_str());
+      return ok;
     };
   };
   const auto add = [&](const char* name, const char* help, Command run) {

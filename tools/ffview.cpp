@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "formats/storage/storage.h"
 #include "formats/version.h"
 #include "tools/run_tool.h"
 #include "tools/view/run.h"
@@ -96,7 +97,7 @@ int run(int argc, char** argv) {
   view::RunOptions o;
   Texts texts;
   bool headless = false, as_json = false, no_difference = false;
-  app.add_option("world", o.world, "the world's manifest, NAME.ffm")->required();
+  app.add_option("world", o.world, "the world's manifest, NAME.ffm, or its address behind a web server, https://.../NAME.ffm")->required();
   app.add_flag("--headless", headless, "draw to files (the only way so far)");
   app.add_option("-o,--out", o.out_folder, "folder for pictures and figures.json")->required();
   app.add_option("--camera", o.camera, "camera path (JSON); without it one is found");
@@ -146,8 +147,8 @@ int run(int argc, char** argv) {
   });
   if (!figures) return fail(figures.error());
   if (as_json) std::printf("%s\n", figures->dump(1).c_str());
-  if (const std::string warning = view::warningOf(*figures); !warning.empty())
-    std::fprintf(stderr, "ffview: %s\n", warning.c_str());
+  for (const std::string& warning : {view::warningOf(*figures), formats::storageFor(o.world)->warning()})
+    if (!warning.empty()) std::fprintf(stderr, "ffview: %s\n", warning.c_str());
   return 0;
 }
 

@@ -26,13 +26,17 @@ struct World::State {
   mutable std::map<TileId, std::weak_ptr<const Chunk>> chunks;            // by their first tile
   mutable size_t sweep_at = 64;                                           // chunks: expired ones are forgotten then
 
-  Result<const StoredFile*> file(uint32_t shard) const;
+  Result<const StoredFile*> file(uint32_t shard, const ReadOptions& options = {}) const;
   // Whether what the index names is there, as the manifest has it.
   bool holds(uint32_t kind, const Extent& e) const {
     return e.shard < shards.size() && shards[e.shard].kind == kind && e.offset >= kShardHeaderBytes && e.offset <= shards[e.shard].bytes &&
            e.stored_bytes <= shards[e.shard].bytes - e.offset;
   }
   std::string pathOf(uint32_t shard) const { return folder + shards[shard].name; }
+  // What was read there is damaged: copies of it go, so that the next read may bring what was written.
+  void forget(const Extent& e) const {
+    if (auto from = file(e.shard)) (*from)->forget(e.offset, e.stored_bytes);
+  }
 };
 
 namespace {
@@ -46,7 +50,8 @@ Error inFile(Error e, const std::string& path) {
 
 }  // namespace
 
-Result<World> World::open(const std::string& path, const StoragePtr& storage) try {
+Result<World> World::open(const std::string& path, const StoragePtr& given) try {
+  const StoragePtr storage = given ? given : storageFor(path);
   auto bytes = readWholeFile(*storage, path);
   if (!bytes) return bytes.error();
   auto manifest = parseManifest(*bytes);
@@ -76,30 +81,30 @@ std::span<const LevelInfo> World::levels() const { return state_->manifest.level
 std::span<const ShardInfo> World::shards() const { return state_->shards; }
 const ChunkPtr& World::root() const { return state_->manifest.root; }
 
-Result<const StoredFile*> World::State::file(uint32_t shard) const {
+Result<const StoredFile*> World::State::file(uint32_t shard, const ReadOptions& options) const {
   const std::lock_guard lock(mutex);
   if (!files[shard]) {
-    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard]);
+    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard], options);
     if (!opened) return opened.error();
     files[shard] = std::move(*opened);
   }
   return files[shard].get();
 }
 
-Result<int> World::descriptor(uint32_t shard) const {
-  auto file = state_->file(shard);
+Result<int> World::descriptor(uint32_t shard, const ReadOptions& options) const {
+  auto file = state_->file(shard, options);
   if (!file) return file.error();
   return (*file)->descriptor();
 }
 
 Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options) const {
   FF_CHECK_EQ(out.size(), size_t{extent.stored_bytes});
-  auto file = state_->file(extent.shard);
+  auto file = state_->file(extent.shard, options);
   if (!file) return file.error();
   return (*file)->read(extent.offset, out, options);
 }
 
-Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try {
+Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options) const try {
   const State& s = *state_;
   const TileId key{parent->level - 1, parent->firstTileOf(child)};
   {
@@ -116,8 +121,11 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child) const try 
     return inRecord({ErrorCode::kInvalidFile, "", chunkText(key.level, wanted.cell) + " at offset " + std::to_string(wanted.record.offset), what, kRemedy});
   };
   std::vector<std::byte> stored(wanted.record.stored_bytes);
-  if (auto ok = readStored(wanted.record, stored); !ok) return ok.error();
-  if (hashBytes(stored) != wanted.record.checksum) return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  if (auto ok = readStored(wanted.record, stored, options); !ok) return ok.error();
+  if (hashBytes(stored) != wanted.record.checksum) {
+    s.forget(wanted.record);
+    return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  }
   const size_t frame = ZSTD_findFrameCompressedSize(stored.data(), stored.size());
   if (ZSTD_isError(frame) || frame != stored.size() || ZSTD_getFrameContentSize(stored.data(), stored.size()) != wanted.record.raw_bytes)
     return bad("is not one zstd frame of the size that its parent says");
@@ -236,7 +244,10 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
     e.place = tileText(tile) + ", strip at offset " + std::to_string(info.strip.offset);
     return e;
   };
-  if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names); !ok) return inShard(ok.error());
+  if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names); !ok) {
+    s.forget(info.strip);
+    return inShard(ok.error());
+  }
   if (!tile.chunk->isTop()) {
     const auto index = tile.parentIndex();
     const uint32_t first = tile.parent().info().first_node;
@@ -304,7 +315,10 @@ Result<TileGeometry> World::geometry(const TileRef& tile) const {
   };
   std::vector<std::byte> stored(info.strip.stored_bytes);
   if (auto ok = readStored(info.strip, stored); !ok) return ok.error();
-  if (hashBytes(stored) != info.strip.checksum) return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  if (hashBytes(stored) != info.strip.checksum) {
+    s.forget(info.strip);
+    return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");
+  }
   ByteReader r(std::span<const std::byte>(stored).first(kStripHeaderBytes));
   StripHeader h;
   StripHeader::fields(r, h);

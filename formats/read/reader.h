@@ -24,8 +24,8 @@ struct ShardInfo {
 
 class World {
  public:
-  // path: the .ffm file. Errors: kIo (missing, unreadable), kInvalidFile (each with place and remedy).
-  static Result<World> open(const std::string& path, const StoragePtr& storage = posixStorage());
+  // path: the .ffm file, or its address. storage: null: storageFor(path). Errors: kIo (missing, unreadable), kInvalidFile (each with place and remedy).
+  static Result<World> open(const std::string& path, const StoragePtr& storage = nullptr);
   World(World&&) noexcept;
   World& operator=(World&&) noexcept;
   ~World();
@@ -36,13 +36,13 @@ class World {
   uint32_t top() const { return static_cast<uint32_t>(levels().size()) - 1; }  // the coarsest level
   std::span<const ShardInfo> shards() const;
   // Of a shard that is opened now if it was not: for asynchronous readers, valid as long as the World lives; never close it. -1: the storage has none.
-  Result<int> descriptor(uint32_t shard) const;
+  Result<int> descriptor(uint32_t shard, const ReadOptions& options = {}) const;
 
   // The index. All but root() may read.
   // Has no tiles; its children are the chunks of the coarsest level.
   const ChunkPtr& root() const;
   // The child number `child` of a chunk; the same object for all who hold it at one time.
-  Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child) const;
+  Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options = {}) const;
   // The chunk that holds a tile, found from any chunk of the same level or the root; null where nothing has that name.
   Result<ChunkPtr> chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const;
   // By number. kUsage: there is no such tile.

@@ -6,17 +6,18 @@
 
 namespace ff::formats {
 
-Result<std::unique_ptr<StoredFile>> openShard(Storage& storage, const std::string& path, const ShardRecord& record) {
-  auto opened = storage.open(path);
+Result<std::unique_ptr<StoredFile>> openShard(Storage& storage, const std::string& path, const ShardRecord& record, const ReadOptions& options) {
+  auto opened = storage.open(path, options);
   if (!opened) return opened.error();
   const StoredFile& file = **opened;
   const auto broken = [&](uint64_t offset, const std::string& message) {
+    file.forget(0, file.bytes());
     return Error{ErrorCode::kInvalidFile, path, "offset " + std::to_string(offset), message, "restore the world's files from one copy, or bake again"};
   };
   if (file.bytes() != record.bytes || file.bytes() < kShardHeaderBytes)
     return broken(file.bytes(), "the manifest says " + std::to_string(record.bytes) + " bytes, the file has " + std::to_string(file.bytes()));
   std::vector<std::byte> bytes(kShardHeaderBytes);
-  if (auto ok = file.read(0, bytes); !ok) return ok.error();
+  if (auto ok = file.read(0, bytes, options); !ok) return ok.error();
   ByteReader r(bytes);
   ShardHeader h;
   ShardHeader::fields(r, h);

@@ -9,6 +9,6 @@
 
 namespace ff::formats {
 
-Result<std::unique_ptr<StoredFile>> openShard(Storage& storage, const std::string& path, const ShardRecord& record);
+Result<std::unique_ptr<StoredFile>> openShard(Storage& storage, const std::string& path, const ShardRecord& record, const ReadOptions& options = {});
 
 }  // namespace ff::formats

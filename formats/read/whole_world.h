@@ -14,7 +14,7 @@ namespace ff::formats {
 class WholeWorld : public World {
  public:
   // As World::open(); also checks that strips, geometry and chunks fill their shards, and the levels' totals.
-  static Result<WholeWorld> open(const std::string& path, const StoragePtr& storage = posixStorage());
+  static Result<WholeWorld> open(const std::string& path, const StoragePtr& storage = nullptr);
 
   std::span<const TileInfo> tiles(uint32_t level) const { return tiles_[level]; }  // by number
   std::span<const ChunkPtr> chunks(uint32_t level) const { return chunks_[level]; }

@@ -19,10 +19,8 @@ class MemoryFile final : public StoredFile {
   uint64_t bytes() const override { return bytes_->size(); }
 
  private:
-  Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
-    if (offset > bytes_->size() || out.size() > bytes_->size() - offset)
-      return Error{ErrorCode::kInvalidFile, path(), "offset " + std::to_string(bytes_->size()), "the file ends here",
-                   "restore this file from a copy, or bake again"};
+  Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions&) const override {
+    if (offset > bytes_->size() || out.size() > bytes_->size() - offset) return endsEarly(bytes_->size());
     std::copy_n(bytes_->begin() + static_cast<std::ptrdiff_t>(offset), out.size(), out.begin());
     return {};
   }
@@ -66,7 +64,7 @@ class MemoryClaim final : public Claim {
   const std::string path_;
 };
 
-Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path) {
+Result<std::unique_ptr<StoredFile>> MemoryStorage::open(const std::string& path, const ReadOptions&) {
   const std::lock_guard lock(mutex_);
   const auto found = names_.find(plain(path));
   if (found == names_.end()) return absent(path);

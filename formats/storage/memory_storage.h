@@ -11,7 +11,7 @@ namespace ff::formats {
 
 class MemoryStorage final : public Storage {
  public:
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override;
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options = {}) override;
   Result<std::unique_ptr<NewFile>> create(const std::string& path) override;
   Result<void> rename(const std::string& from, const std::string& to) override;
   Result<void> remove(const std::string& path) override;

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <utility>
 
+#include "formats/storage/descriptor.h"
 #include "formats/storage/storage.h"
 
 namespace ff::formats {
@@ -18,21 +19,6 @@ Error systemError(const std::string& path, const std::string& what) {
   return {ErrorCode::kIo, path, "", what + ": " + std::strerror(errno), ""};
 }
 
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Descriptor& operator=(Descriptor&&) = delete;
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  int get() const { return fd_; }
-  explicit operator bool() const { return fd_ >= 0; }
-
- private:
-  int fd_;
-};
-
 class PosixFile final : public StoredFile {
  public:
   PosixFile(Descriptor fd, std::string path, uint64_t bytes) : StoredFile(std::move(path)), fd_(std::move(fd)), bytes_(bytes) {}
@@ -40,15 +26,13 @@ class PosixFile final : public StoredFile {
   int descriptor() const override { return fd_.get(); }
 
  private:
-  Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
+  Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions&) const override {
     size_t done = 0;
     while (done < out.size()) {
       const ssize_t n = ::pread(fd_.get(), out.data() + done, out.size() - done, static_cast<off_t>(offset + done));
       if (n < 0 && errno == EINTR) continue;
       if (n < 0) return systemError(path(), "cannot read at offset " + std::to_string(offset + done));
-      if (n == 0)
-        return Error{ErrorCode::kInvalidFile, path(), "offset " + std::to_string(offset + done), "the file ends here",
-                     "restore this file from a copy, or bake again"};
+      if (n == 0) return endsEarly(offset + done);
       done += static_cast<size_t>(n);
     }
     return {};
@@ -94,7 +78,7 @@ class PosixClaim final : public Claim {
 
 class PosixStorage final : public Storage {
  public:
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions&) override {
     Descriptor fd(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
     if (!fd) return systemError(path, "cannot open");
     struct stat s {};

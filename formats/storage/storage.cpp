@@ -2,6 +2,9 @@
 
 #include <algorithm>
 
+#include "formats/storage/cached_storage.h"
+#include "formats/storage/http_storage.h"
+
 namespace ff::formats {
 
 const char* whyReadEnds(const ReadOptions& options) {
@@ -14,9 +17,19 @@ Result<void> StoredFile::read(uint64_t offset, std::span<std::byte> out, const R
   for (size_t n = 0; !out.empty(); offset += n, out = out.subspan(n)) {
     if (const char* why = whyReadEnds(options)) return Error{ErrorCode::kIo, path_, "offset " + std::to_string(offset), why, ""};
     n = std::min(out.size(), kReadPiece);
-    if (auto ok = readPiece(offset, out.first(n)); !ok) return ok;
+    if (auto ok = readPiece(offset, out.first(n), options); !ok) return ok;
   }
   return {};
+}
+
+Error StoredFile::endsEarly(uint64_t offset) const {
+  return {ErrorCode::kInvalidFile, path_, "offset " + std::to_string(offset), "the file ends here", "restore this file from a copy, or bake again"};
+}
+
+StoragePtr storageFor(const std::string& path) {
+  if (!path.starts_with("http://") && !path.starts_with("https://")) return posixStorage();
+  static const StoragePtr web = cachedStorage(httpStorage(), cacheSettings());
+  return web;
 }
 
 std::string folderOf(const std::string& path) {

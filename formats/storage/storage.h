@@ -1,5 +1,5 @@
-// Where a world's files lie: all reading and writing of manifests, shards and settings goes through here. POSIX files, files
-// in memory, and (in tests) a faulty one. Paths are whole paths with '/'.
+// Where a world's files lie: all reading and writing of manifests, shards and settings goes through here. POSIX files, files behind a web
+// server (http_storage.h), files in memory, and (in tests) a faulty one. Paths are whole paths with '/', or http:// and https:// addresses.
 #pragma once
 #include <atomic>
 #include <chrono>
@@ -16,14 +16,16 @@
 
 namespace ff::formats {
 
-// What ends a read before it is done, with an error (kIo). Looked at before every piece of kReadPiece bytes: a piece that has begun is not interrupted.
+// What ends a read before it is done, with an error (kIo). Looked at before every piece of kReadPiece bytes: a piece that has begun is not
+// interrupted, except over a network.
 struct ReadOptions {
   const std::atomic<bool>* cancelled = nullptr;  // once it is true; outlives the read. Null: nobody cancels it.
   std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
 };
 inline constexpr size_t kReadPiece = 1 << 20;
-// Why a read ends now, as a message; null: it goes on.
+// Why a read ends now, as a message; null: it goes on. What waits looks every kLookAtOptions.
 const char* whyReadEnds(const ReadOptions& options);
+inline constexpr std::chrono::milliseconds kLookAtOptions{20};
 
 // Open for reading until it is destroyed, whatever becomes of its name.
 class StoredFile {
@@ -37,10 +39,15 @@ class StoredFile {
   Result<void> read(uint64_t offset, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // For those who read with means of their own (io_uring); -1: there is none.
   virtual int descriptor() const { return -1; }
+  // What was read from there is not what was once written: a storage that keeps copies drops these, so that the next read brings new ones.
+  virtual void forget(uint64_t /*offset*/, uint64_t /*bytes*/) const {}
+
+ protected:
+  Error endsEarly(uint64_t offset) const;  // of a read past the end
 
  private:
-  // The same for at most kReadPiece bytes.
-  virtual Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const = 0;
+  // The same for at most kReadPiece bytes, whose beginning `options` allow.
+  virtual Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions& options) const = 0;
 
   const std::string path_;
 };
@@ -64,8 +71,8 @@ class Claim {
 class Storage {
  public:
   virtual ~Storage() = default;
-  // Regular files only.
-  virtual Result<std::unique_ptr<StoredFile>> open(const std::string& path) = 0;
+  // Regular files only. options: as those of a read, where opening takes time (over a network).
+  virtual Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options = {}) = 0;
   // Empties a file that is there.
   virtual Result<std::unique_ptr<NewFile>> create(const std::string& path) = 0;
   // In one step; takes the place of a file that is there.
@@ -81,10 +88,15 @@ class Storage {
   virtual Result<std::unique_ptr<Claim>> claim(const std::string& path) = 0;
   // Whether files can be made there.
   virtual Result<void> checkWritable(const std::string& folder) = 0;
+  // What went wrong without being an error, as one line for the user; empty: nothing.
+  virtual std::string warning() const { return {}; }
 };
 
 using StoragePtr = std::shared_ptr<Storage>;
 StoragePtr posixStorage();
+// Which storage a path belongs to: http:// and https:// to web servers, through a cache on the disk (http_storage.h), all else to POSIX. One of
+// each kind in a process.
+StoragePtr storageFor(const std::string& path);
 
 // "out/" of "out/town.ffm"; "./" where the path has no folder.
 std::string folderOf(const std::string& path);

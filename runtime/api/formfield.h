@@ -102,7 +102,7 @@ typedef struct FormfieldWorldSettings {
 /* Good values for a world of 1 m patches. */
 void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings);
 
-/* Opens NAME.ffm and loads its coarsest level. settings: NULL for the defaults. */
+/* path: NAME.ffm, or its http:// or https:// address (formats/README.md). Opens it and loads its coarsest level. settings: NULL for the defaults. */
 FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, const FormfieldWorldSettings* settings,
                                    FormfieldWorld* world);
 /* Waits for reads that are under way. NULL is allowed. */

@@ -25,8 +25,8 @@ using Clock = std::chrono::steady_clock;
 // Counts what is read through it.
 class CountingStorage final : public formats::Storage {
  public:
-  Result<std::unique_ptr<formats::StoredFile>> open(const std::string& path) override {
-    auto file = below_->open(path);
+  Result<std::unique_ptr<formats::StoredFile>> open(const std::string& path, const formats::ReadOptions& options) override {
+    auto file = below_->open(path, options);
     if (!file) return file.error();
     return std::unique_ptr<formats::StoredFile>(std::make_unique<File>(std::move(*file), bytes));
   }
@@ -48,9 +48,9 @@ class CountingStorage final : public formats::Storage {
     uint64_t bytes() const override { return below_->bytes(); }
 
    private:
-    Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
+    Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const formats::ReadOptions& options) const override {
       read_ += out.size();
-      return below_->read(offset, out);
+      return below_->read(offset, out, options);
     }
     std::unique_ptr<StoredFile> below_;
     std::atomic<uint64_t>& read_;

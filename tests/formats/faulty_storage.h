@@ -18,9 +18,9 @@ class FaultyStorage final : public Storage {
   bool folders_can_sync = true;
   std::function<void()> on_read{};  // with every piece that is read: to take its time, for one
 
-  Result<std::unique_ptr<StoredFile>> open(const std::string& path) override {
+  Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions& options = {}) override {
     if (fails()) return fault(path);
-    auto file = below_->open(path);
+    auto file = below_->open(path, options);
     if (!file) return file.error();
     return std::unique_ptr<StoredFile>(std::make_unique<File>(*this, path, std::move(*file)));
   }
@@ -67,7 +67,7 @@ class FaultyStorage final : public Storage {
     uint64_t bytes() const override { return below_->bytes(); }
 
    private:
-    Result<void> readPiece(uint64_t offset, std::span<std::byte> out) const override {
+    Result<void> readPiece(uint64_t offset, std::span<std::byte> out, const ReadOptions&) const override {
       if (storage_.fails()) return fault(path(), "offset " + std::to_string(offset));
       if (storage_.on_read) storage_.on_read();
       return below_->read(offset, out);

@@ -18,6 +18,10 @@ ff_install(ff_runtime_vulkan FormfieldVulkanTargets solvers_vulkan formfield_sol
 ff_install(ff_formfield_vulkan FormfieldVulkanTargets vulkan formfield_vulkan)
 install(FILES runtime/api/formfield.h runtime/api/formfield_vulkan.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
+if(FORMFIELD_HTTP)
+  set(FORMFIELD_CURL CURL:libcurl)
+  set(FORMFIELD_CURL_PC " libcurl")
+endif()
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/Formfield)
 foreach(set FormfieldTargets FormfieldVulkanTargets)
   install(EXPORT ${set} NAMESPACE Formfield:: DESTINATION ${package_dir})

@@ -1,0 +1,27 @@
+// Keeps on the disk what was read of a storage that is slow to read: of files whose names tell their content (shards), in pieces of kCachePiece
+// bytes, each with a checksum. A piece that is missing or damaged is read from below, once however many threads want it, and kept; so what is read below is
+// at most what is wanted and a piece at either end. All other files (manifests, settings) are read from below each time. Such a file that is in the cache is
+// opened without asking below. One file of the cache for each that is kept: a header with its name and size, then its pieces, each
+// at its place behind its checksum; holes where there is none yet. Any number of processes may use a folder: they write the same bytes to the same place,
+// and what is half written is damaged. Past the limit the files that were opened longest ago are emptied. What cannot be written (no folder, a full disk) turns the
+// cache off; warning() says so.
+#pragma once
+#include "formats/storage/storage.h"
+
+namespace ff::formats {
+
+inline constexpr uint64_t kCachePiece = 64 << 10;
+
+struct CacheSettings {
+  std::string folder;  // made where it is absent; empty: there is no cache
+  uint64_t limit_bytes = uint64_t{4} << 30;
+  std::string warning{};  // of cacheSettings(): for Storage::warning()
+};
+
+// By the environment: FORMFIELD_CACHE, a folder or "off"; else formfield in XDG_CACHE_HOME, else in ~/.cache. FORMFIELD_CACHE_LIMIT: MiB.
+CacheSettings cacheSettings();
+
+// Read only. Its files outlive it.
+StoragePtr cachedStorage(StoragePtr below, const CacheSettings& settings);
+
+}  // namespace ff::formats
