@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 
 #include "bake/surface/fineness.h"
 #include "bake/surface/grouped.h"
@@ -38,6 +39,12 @@ class PackedExtent {
     for (size_t i = 0; i < 3; ++i) all &= lo_[i] <= other.hi_[i] && other.lo_[i] <= hi_[i];
     return all;
   }
+  void add(const PackedExtent& other) {
+    for (size_t i = 0; i < 3; ++i) {
+      lo_[i] = std::min(lo_[i], other.lo_[i]);
+      hi_[i] = std::max(hi_[i], other.hi_[i]);
+    }
+  }
 
  private:
   static constexpr double kSteps = 32768, kBelow = 1024;  // what juts out farther is cut off, and meets what does so as well
@@ -67,8 +74,10 @@ class Labeller {
     std::vector<uint32_t> host(sides_.size(), kNobody);
     for (int step = 0; step < kSteps; ++step) {
       const std::vector<uint32_t> before = host;
-      tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
-        if (kind_[i] == Kind::kCrumb && host[i] == kNobody) host[i] = goesOnIn(i, before);
+      const Hosts hosts = listHosts(before, step == 0);
+      tbb::parallel_for(size_t{0}, places, [&](size_t g) {
+        for (size_t i = place_start_[g]; i < place_start_[g + 1]; ++i)
+          if (kind_[i] == Kind::kCrumb && host[i] == kNobody) host[i] = goesOnIn(i, g, before, hosts);
       });
     }
     tbb::parallel_for(size_t{0}, sides_.size(), [&](size_t i) {
@@ -116,10 +125,32 @@ class Labeller {
         for (uint32_t i = 0; i < n; ++i)
           for (uint32_t j = i + 1; j < n; ++j)
             if (extent_[begin + i].meets(extent_[begin + j]) && sets.find(i) != sets.find(j)) joinPair(begin, i, j, sets);
+      if (n > kMaxPairs) joinAlongEdges(begin, n, sets);
     }
     for (uint32_t i = 0; i < n; ++i) root_[begin + i] = static_cast<uint32_t>(begin) + sets.find(i);
     if (std::any_of(parted_.begin() + static_cast<ptrdiff_t>(begin), parted_.begin() + static_cast<ptrdiff_t>(end), [](uint8_t p) { return p; }))
       dissolveBent(begin, end);
+  }
+
+  // Neighbours in a mesh: pieces with an edge in common, of which at least one is fenced.
+  void joinAlongEdges(size_t begin, uint32_t n, UnionFind& sets) {
+    std::vector<std::tuple<GridCorner, GridCorner, uint32_t>> edges;
+    std::vector<GridCorner> corners;
+    for (uint32_t i = 0; i < n; ++i) {
+      const Cell cell = baseCell(piece(begin + i).cell, piece(begin + i).fineness);
+      corners.clear();
+      for (const Point& p : piece(begin + i).polygon) corners.push_back(gridCorner(p, cell, 1));
+      for (size_t k = 0; k < corners.size(); ++k) {
+        const auto [first, last] = std::minmax(corners[k], corners[(k + 1) % corners.size()]);
+        if (first != last) edges.emplace_back(first, last, i);
+      }
+    }
+    std::sort(edges.begin(), edges.end());
+    for (size_t k = 1; k < edges.size(); ++k) {
+      const auto& [a, b, i] = edges[k - 1];
+      const auto& [c, d, j] = edges[k];
+      if (a == c && b == d && sets.find(i) != sets.find(j)) joinPair(begin, i, j, sets);
+    }
   }
 
   // Surface around the corner of a wall, whose centroid lies on the other side: what a patch is like at its centroid must hold for it.
@@ -174,10 +205,48 @@ class Labeller {
     kind_[root] = area < crumbOf(root) ? Kind::kCrumb : isSealed(root) ? Kind::kSealed : Kind::kWhole;
   }
 
-  // The component, not a crumb, that a crumb shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
+  // The sides that crumbs may join, by place, and boxes around kRun of them at a time: crumbs look for hosts in crowded places.
+  struct Hosts {
+    static constexpr uint32_t kRun = 16;
+    std::vector<uint32_t> side, first;     // first: of each place
+    std::vector<PackedExtent> run;
+    std::vector<uint32_t> first_run;       // of each place
+  };
+
+  // Sides of components that are no crumbs; after the first step, of crumbs that have found one by then: what the others are open to, they have found.
+  Hosts listHosts(const std::vector<uint32_t>& host, bool first_step) const {
+    const auto isHost = [&](size_t i) { return first_step ? kind_[root_[i]] == Kind::kWhole : host[root_[i]] != kNobody; };
+    Hosts hosts;
+    size_t sides = 0;
+    for (size_t i = 0; i < sides_.size(); ++i) sides += isHost(i);
+    hosts.side.reserve(sides);
+    hosts.run.reserve(sides / Hosts::kRun + std::min(sides, place_start_.size()));
+    for (size_t g = 0; g + 1 < place_start_.size(); ++g) {
+      hosts.first.push_back(static_cast<uint32_t>(hosts.side.size()));
+      hosts.first_run.push_back(static_cast<uint32_t>(hosts.run.size()));
+      for (size_t i = place_start_[g]; i < place_start_[g + 1]; ++i) {
+        if (!isHost(i)) continue;
+        if ((hosts.side.size() - hosts.first.back()) % Hosts::kRun == 0) hosts.run.push_back(extent_[i]);
+        else hosts.run.back().add(extent_[i]);
+        hosts.side.push_back(static_cast<uint32_t>(i));
+      }
+    }
+    hosts.first.push_back(static_cast<uint32_t>(hosts.side.size()));
+    return hosts;
+  }
+
+  // A place that was looked for, so that the next border need not.
+  struct FoundPlace {
+    Cell cell{};
+    size_t place = kNoPlace;
+    static constexpr size_t kNoPlace = ~size_t{0};
+  };
+
+  // The component, not a crumb, that a crumb of a place shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
   // none.
-  uint32_t goesOnIn(size_t crumb, const std::vector<uint32_t>& host) const {
+  uint32_t goesOnIn(size_t crumb, size_t place, const std::vector<uint32_t>& host, const Hosts& all) const {
     std::vector<std::pair<uint32_t, double>> hosts;
+    FoundPlace found{piece(crumb).cell, place};
     for (const uint32_t i : members_.of(crumb)) {
       const Polygon& polygon = piece(i).polygon;
       const Point area = vectorArea(polygon);
@@ -191,7 +260,12 @@ class Labeller {
         const Point next = a + side * 0.5 + outward * kBorderCells - normal * (sides_[i].back ? -kBorderCells : kBorderCells);
         Cell cell;
         for (int d = 0; d < 3; ++d) cell[static_cast<size_t>(d)] = static_cast<int32_t>(std::floor(next[d] / edgeCells(piece(i).fineness)));
-        if (cell != piece(i).cell || isFenced(i)) addHosts(i, k, cell, host, hosts);
+        if (cell == piece(i).cell) {
+          if (isFenced(i)) addHosts(i, k, {cell, place}, host, all, hosts);
+          continue;
+        }
+        if (found.cell != cell) found = {cell, placeOf(i, cell)};
+        if (found.place != FoundPlace::kNoPlace) addHosts(i, k, found, host, all, hosts);
       }
     }
     uint32_t best = kNobody;
@@ -204,31 +278,41 @@ class Labeller {
     return best;
   }
 
-  void addHosts(uint32_t crumb_side, size_t border, const Cell& cell, const std::vector<uint32_t>& host,
+  // Where a side would be in another cell.
+  size_t placeOf(uint32_t of, const Cell& cell) const {
+    Side side = sides_[of];
+    side.key = hilbertKey(baseCell(cell, side.fineness));
+    side.in_cell = placeInBaseCell(cell, side.fineness);
+    const auto end = place_start_.end() - 1;
+    const auto at = std::partition_point(place_start_.begin(), end, [&](size_t first) { return sides_[first].place() < side.place(); });
+    return at == end || sides_[*at].place() != side.place() ? FoundPlace::kNoPlace : static_cast<size_t>(at - place_start_.begin());
+  }
+
+  void addHosts(uint32_t crumb_side, size_t border, const FoundPlace& in, const std::vector<uint32_t>& host, const Hosts& all,
                 std::vector<std::pair<uint32_t, double>>& hosts) const {
-    Side place = sides_[crumb_side];
-    place.key = hilbertKey(baseCell(cell, place.fineness));
-    place.in_cell = placeInBaseCell(cell, place.fineness);
-    const auto before = [](const Side& a, const Side& b) { return a.place() < b.place(); };
-    const auto [first, last] = std::equal_range(sides_.begin(), sides_.end(), place, before);
+    const uint32_t end = all.first[in.place + 1];
+    if (all.first[in.place] == end) return;
     const Polygon& polygon = piece(crumb_side).polygon;
-    const PackedExtent line(std::array{polygon[border], polygon[(border + 1) % polygon.size()]}, cell, place.fineness);
+    const PackedExtent line(std::array{polygon[border], polygon[(border + 1) % polygon.size()]}, in.cell, piece(crumb_side).fineness);
     std::vector<SharedBorder> borders;
-    for (auto s = first; s != last; ++s) {
-      const auto j = static_cast<size_t>(s - sides_.begin());
-      if (!line.meets(extent_[j])) continue;
-      const uint32_t to = kind_[root_[j]] == Kind::kWhole ? root_[j] : host[root_[j]];
-      if (to == kNobody) continue;
-      borders.clear();
-      shareBorder(polygon, border, piece(j).polygon, kBorderCells, borders);
-      for (const SharedBorder& shared : borders) {
-        if (fences_ && !fences_->isOpen(at(crumb_side), at(j), shared)) continue;
-        const double l = length(shared.line.b - shared.line.a);
-        const auto known = std::find_if(hosts.begin(), hosts.end(), [&](const auto& h) { return h.first == to; });
-        if (known == hosts.end()) {
-          hosts.emplace_back(to, l);
-        } else {
-          known->second += l;
+    size_t run = all.first_run[in.place];
+    for (uint32_t first = all.first[in.place]; first < end; first += Hosts::kRun, ++run) {
+      if (!line.meets(all.run[run])) continue;
+      for (uint32_t k = first; k < std::min(end, first + Hosts::kRun); ++k) {
+        const uint32_t j = all.side[k];
+        if (!line.meets(extent_[j])) continue;
+        const uint32_t to = kind_[root_[j]] == Kind::kWhole ? root_[j] : host[root_[j]];
+        borders.clear();
+        shareBorder(polygon, border, piece(j).polygon, kBorderCells, borders);
+        for (const SharedBorder& shared : borders) {
+          if (fences_ && !fences_->isOpen(at(crumb_side), at(j), shared)) continue;
+          const double l = length(shared.line.b - shared.line.a);
+          const auto known = std::find_if(hosts.begin(), hosts.end(), [&](const auto& h) { return h.first == to; });
+          if (known == hosts.end()) {
+            hosts.emplace_back(to, l);
+          } else {
+            known->second += l;
+          }
         }
       }
     }
@@ -239,82 +323,89 @@ class Labeller {
     return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumbOf(root));
   }
 
-  bool sees(size_t crumb, size_t root) const {
-    const auto members = members_.of(crumb);
-    if (std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); })) return true;
-    return fences_->sees(at(crumb), at(root));
-  }
-
-  // Of some roots the nearest to a crumb, and what the crumb sees before what it does not: the other side of a wall may be nearer.
+  // Of some roots the nearest that a crumb sees; where it sees none of them, the nearest: the other side of a wall may be nearer. Of equally near ones the
+  // first.
   struct Nearest {
     uint32_t root = kNobody;
     double square = 1e300;
     bool seen = false;
   };
-  void consider(size_t crumb, size_t root, Nearest& best) const {
-    const Point d = centre_[crumb] - centre_[root];
-    const double square = dot(d, d);
-    if (square >= best.square && best.seen) return;
-    const bool seen = sees(crumb, root);
-    if (seen == best.seen ? square < best.square : seen) best = {static_cast<uint32_t>(root), square, seen};
+  Nearest nearest(size_t crumb, std::span<const uint32_t> roots) const {
+    std::vector<std::pair<double, uint32_t>> by_distance;
+    for (uint32_t k = 0; k < roots.size(); ++k) {
+      const Point d = centre_[crumb] - centre_[roots[k]];
+      by_distance.emplace_back(dot(d, d), k);
+    }
+    const auto members = members_.of(crumb);
+    const bool free = std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); });
+    const std::greater<> farther;
+    std::make_heap(by_distance.begin(), by_distance.end(), farther);
+    Nearest best;
+    for (auto end = by_distance.end(); end != by_distance.begin(); --end) {
+      std::pop_heap(by_distance.begin(), end, farther);
+      const auto [square, k] = *(end - 1);
+      if (free || fences_->sees(at(crumb), at(roots[k]))) return {roots[k], square, true};
+      if (best.root == kNobody) best = {roots[k], square, false};
+    }
+    return best;
   }
 
-  // Finds hosts for crumbs that see no patch of their place, and for those that would make a patch too small to be of use: of the
-  // same base cell or, if that has none, the cells around it. Here alone surface of one grid may join a patch of another.
+  // Finds hosts for crumbs of a place: what has a patch of its own there; for crumbs that see none, and for those that would make a patch too small to
+  // be of use, what has one in the same base cell or, if they see nothing there, the cells around it. Here alone surface of one grid may join a patch of
+  // another. Crumbs stay without where there is none: they are a patch together.
   void placeCrumbs(size_t begin, size_t end, std::vector<uint32_t>& host) const {
     double area = 0;
     std::vector<uint32_t> own, loose;
-    listPlace(begin, end, host, own, loose);
-    for (const uint32_t i : loose) area += area_[i];
+    for (size_t i = begin; i < end; ++i) {
+      if (isOwn(i, host)) {
+        own.push_back(static_cast<uint32_t>(i));
+      } else if (isLoose(i, host)) {
+        loose.push_back(static_cast<uint32_t>(i));
+        area += area_[i];
+      }
+    }
     if (own.empty() && area >= kTiny * crumbOf(begin)) return;
     for (const uint32_t i : loose) {
-      const bool seen = std::any_of(own.begin(), own.end(), [&](uint32_t w) { return sees(i, w); });
-      if (seen) continue;
+      const Nearest here = nearest(i, own);
+      host[i] = here.root;
+      if (here.seen) continue;
       const Nearest other = nearestWhole(i);
       if (own.empty() || other.seen) host[i] = other.root;
     }
   }
 
   Nearest nearestWhole(size_t root) const {
-    Nearest best;
-    const auto look = [&](const Cell& cell) {
-      const uint64_t key = hilbertKey(cell);
-      for (const uint32_t j : std::ranges::equal_range(whole_, key, {}, [&](uint32_t i) { return sides_[i].key; }))
-        if (sides_[j].lamp_group == sides_[root].lamp_group) consider(root, j, best);
+    std::vector<uint32_t> roots;
+    const auto list = [&](const Cell& cell) {
+      for (const uint32_t j : std::ranges::equal_range(whole_, hilbertKey(cell), {}, [&](uint32_t i) { return sides_[i].key; }))
+        if (sides_[j].lamp_group == sides_[root].lamp_group) roots.push_back(j);
     };
     const int fineness = piece(root).fineness;
     const Cell own = baseCell(piece(root).cell, fineness);
-    look(own);
+    list(own);
+    const Nearest here = nearest(root, roots);
+    if (here.seen) return here;
+    roots.clear();
     const int32_t step = fineness < 0 ? 1 << -fineness : 1;
-    if (!best.seen)
-      for (int32_t n = 0; n < 27; ++n) look({own[0] + step * (n % 3 - 1), own[1] + step * (n / 3 % 3 - 1), own[2] + step * (n / 9 - 1)});
-    return best;
-  }
-
-  // Of one place, what has a patch of its own and the crumbs that look for one.
-  void listPlace(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& own, std::vector<uint32_t>& loose) const {
-    for (size_t i = begin; i < end; ++i) {
-      if (isOwn(i, host)) {
-        own.push_back(static_cast<uint32_t>(i));
-      } else if (isLoose(i, host)) {
-        loose.push_back(static_cast<uint32_t>(i));
-      }
-    }
+    for (int32_t n = 0; n < 27; ++n)
+      if (n != 13) list({own[0] + step * (n % 3 - 1), own[1] + step * (n / 3 % 3 - 1), own[2] + step * (n / 9 - 1)});
+    const Nearest around = nearest(root, roots);
+    return around.seen || around.square < here.square ? around : here;
   }
 
   // Numbers the patches of one place.
   void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
-    std::vector<uint32_t> own, loose;
-    listPlace(begin, end, host, own, loose);
-    if (own.empty() && !loose.empty()) own.push_back(loose[0]);  // crumbs only: one patch together
-    for (const uint32_t i : own) {
+    const size_t before = home.size();
+    for (size_t i = begin; i < end; ++i) {
+      if (!isOwn(i, host)) continue;
       patch[i] = static_cast<uint32_t>(home.size());
-      home.push_back(i);
+      home.push_back(static_cast<uint32_t>(i));
     }
-    for (const uint32_t i : loose) {
-      Nearest best;
-      for (const uint32_t w : own) consider(i, w, best);
-      patch[i] = patch[best.root];
+    if (home.size() > before) return;
+    for (size_t i = begin; i < end; ++i) {
+      if (!isLoose(i, host)) continue;
+      if (home.size() == before) home.push_back(static_cast<uint32_t>(i));  // crumbs only: one patch together
+      patch[i] = static_cast<uint32_t>(before);
     }
   }
 

@@ -281,11 +281,30 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
 bool Fences::sees(PieceSide a, PieceSide b) const {
   const auto eye = [&](PieceSide s) {
     const uint32_t t = s.piece->triangle;
-    return metres(middle(s.piece->polygon) + normalOf(t) * (s.back ? -hairOf(t) : hairOf(t)));
+    return middle(s.piece->polygon) + normalOf(t) * (s.back ? -hairOf(t) : hairOf(t));
   };
-  const Vec3 from = eye(a), to = eye(b);
+  const Point from_cells = eye(a), to_cells = eye(b);
+  if (hides(a, from_cells, to_cells) || (scene_.backs != Backs::kPass && hides(b, to_cells, from_cells))) return false;
+  const Vec3 from = metres(from_cells), to = metres(to_cells);
   const float way = ff::length(to - from);
   return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+}
+
+// Whether a piece itself is in the way from the eye a hair above its middle to another point: where that is clear, no ray need be cast. Rounding to single
+// precision stays well within the margin, as a hair is hundreds of its steps.
+bool Fences::hides(PieceSide of, const Point& eye, const Point& to) const {
+  const Piece& piece = *of.piece;
+  if (scene_.materials[scene_.triangles[piece.triangle].material].cutout) return false;
+  const Point normal = normalOf(piece.triangle), up = normal * (of.back ? -1.0 : 1.0), way = to - eye;
+  const double hair = hairOf(piece.triangle), down = -dot(up, way);
+  if (!(down > 2 * hair)) return false;
+  const Point foot = way + up * down, crossing = eye - up * hair + foot * (hair / down);
+  const double margin = 0.05 * length(foot) * (hair / down) + 0.1 * hair;
+  for (size_t i = 0; i < piece.polygon.size(); ++i) {
+    const Point side = piece.polygon[(i + 1) % piece.polygon.size()] - piece.polygon[i];
+    if (dot(cross(normal, side), crossing - piece.polygon[i]) < margin * length(side)) return false;
+  }
+  return true;
 }
 
 bool Fences::isCovered(uint32_t triangle, bool back, Point point) const {

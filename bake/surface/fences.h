@@ -55,6 +55,7 @@ class Fences {
  private:
   struct Found;
   Found find(const Piece& piece) const;
+  bool hides(PieceSide of, const Point& eye, const Point& to) const;
   std::array<Point, 3> cornersOf(uint32_t triangle) const;
   Point normalOf(uint32_t triangle) const;
   double hairOf(uint32_t triangle) const;   // cells

@@ -191,6 +191,32 @@ TEST(Partitions, FeetAndGrassDoNotMakeAFloorSmaller) {
     for (const float z : {0.22f, 0.72f}) EXPECT_EQ(set->patchAt(x > z ? 1 : 0, true, {x, .5f, z}), kSealed) << x << " " << z;
 }
 
+// A floor of 1,152 triangles in one cell, each under a blade of grass, on both sides of a wall: neighbours in a mesh are connected however many lie in a cell, or
+// each triangle would be a crumb, and all crumbs one patch.
+TEST(Partitions, AWallPartsAFloorOfManyTrianglesUnderGrass) {
+  constexpr int kSide = 24;
+  constexpr float kEdge = 1.0f / kSide, kBlade = 0.1f * kEdge;
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f}), sheet = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[sheet].double_sided = true;
+  for (int i = 0; i < kSide; ++i)
+    for (int k = 0; k < kSide; ++k) {
+      const Vec3 o{static_cast<float>(i) * kEdge, .5f, static_cast<float>(k) * kEdge}, middle = o + Vec3{kEdge / 2, 0, kEdge / 2};
+      addQuad(s, o, o + Vec3{0, 0, kEdge}, o + Vec3{kEdge, 0, kEdge}, o + Vec3{kEdge, 0, 0}, m);
+      addTriangle(s, middle + Vec3{kBlade, 0, -kBlade}, middle + Vec3{-kBlade, 0, kBlade}, middle + Vec3{0, kBlade, 0}, sheet);
+    }
+  addQuad(s, {.5f, .5f, 0}, {.5f, .5f, 1}, {.5f, .9f, 1}, {.5f, .9f, 0}, sheet);
+  const auto caster = RayCaster::create(s);
+  ASSERT_TRUE(caster);
+  const auto set = makePatches(s, {.cell_m = 1}, &*caster);
+  ASSERT_TRUE(set);
+  std::vector<float> floor;
+  for (const Patch& p : set->patches)
+    if (p.orientation == 2) floor.push_back(p.area_m2);
+  ASSERT_EQ(floor.size(), 2u);
+  for (const float area : floor) EXPECT_NEAR(area, 0.5f, 1e-3f);
+}
+
 TEST(Partitions, GroundUnderASingleSidedWaterFaceIsNotLitByTheRaysThatGetAway) {
   // A seabed of 40 m, the water's face 0.2 m above it: a few rays of its border get away.
   Scene s;
