@@ -248,7 +248,7 @@ typedef struct FormfieldStats {
   uint32_t resident_tiles, wanted_tiles, pending_tiles;
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
   double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
-                                                  (B: what surfaces reflect); negative: not measured. formfieldRecord measures multibounce only, all
+                                                  (B: what surfaces reflect); negative: not measured. What fade_frames hold back counts. formfieldRecord measures multibounce only, all
                                                   leaves, before the last step of the frame frames_in_flight ago */
   uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
   uint64_t dense_refused, dense_rebuilds;      /* blocks that could not enter with correct digits; matrices built anew */
