@@ -15,13 +15,6 @@ constexpr float kFar = 2;           // times as far away as when it began, a til
 
 formats::TileId parentOf(const stream::ResidentStrip& strip) { return {strip.id.level + 1, strip.tile.info().parent_tile}; }
 
-// The parent's irradiance on a node's albedo; `own` where the parent's albedo does not tell.
-Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& albedo, const Vec4& own) {
-  const auto channel = [](float b, float from, float to, float otherwise) { return from > 0 ? b / from * to : otherwise; };
-  return {channel(parent.x, parent_albedo.x, albedo.x, own.x), channel(parent.y, parent_albedo.y, albedo.y, own.y),
-          channel(parent.z, parent_albedo.z, albedo.z, own.z), 0};
-}
-
 // Over the tiles of the finest level.
 float meanOf(const LocalMatrix& matrix, std::span<const Vec4> source) {
   double sum = 0;

@@ -23,6 +23,13 @@ struct Vec4 {
 inline Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
 inline Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 
+// What a node reflects, W/m2, of the irradiance of which its parent reflects so much; `otherwise`, by channel, where the parent's albedo is 0.
+inline Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& albedo, const Vec4& otherwise) {
+  const auto channel = [](float b, float from, float to, float other) { return from > 0 ? b / from * to : other; };
+  return {channel(parent.x, parent_albedo.x, albedo.x, otherwise.x), channel(parent.y, parent_albedo.y, albedo.y, otherwise.y),
+          channel(parent.z, parent_albedo.z, albedo.z, otherwise.z), 0};
+}
+
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
 inline constexpr uint32_t kRowPadding = 8;    // entries: what a vector loop takes at once
 inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of column

@@ -150,11 +150,9 @@ class CpuGather final : public Solver {
   // A node that enters shows the irradiance that its parent had.
   void inherit(uint32_t slot, uint32_t parent) {
     if (parent == kNoSlot) return;
-    const auto onAlbedo = [](float b, float from, float to) { return from > 0 ? b / from * to : b; };
-    const Vec4 &from = matrix_->albedo[parent], &to = matrix_->albedo[slot];
     for (auto* per_slot : {&from_, &to_}) {
       const Vec4 b = (*per_slot)[parent];
-      (*per_slot)[slot] = {onAlbedo(b.x, from.x, to.x), onAlbedo(b.y, from.y, to.y), onAlbedo(b.z, from.z, to.z), 0};
+      (*per_slot)[slot] = onAlbedo(b, matrix_->albedo[parent], matrix_->albedo[slot], b);
     }
   }
 
