@@ -26,6 +26,7 @@
 #include "bake/matrix/row_sampling.h"
 #include "bake/memory.h"
 #include "bake/not_modelled.h"
+#include "bake/paging.h"
 #include "bake/progress_report.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
@@ -66,6 +67,9 @@ RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settin
 constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
 // So much of the light that ends on the backs of single-sided surfaces is worth a line.
 constexpr double kBacksShare = 0.01;
+
+// Memory for Embree's trees: of what there is when they are built, one in so many.
+constexpr uint64_t kTrees = 3;
 
 // What sampling a tile's rows showed.
 struct Sampling {
@@ -259,7 +263,7 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
   const Scene& scene = surface->scene;
   if (auto ok = checkSettings(scene, settings); !ok) return ok.error();
   if (auto ok = check(scene); !ok) return ok.error();
-  auto caster = RayCaster::create(scene);
+  auto caster = RayCaster::create(scene, spareMemory(settings.memory_bytes) / kTrees);
   if (!caster) return caster.error();
   surface->caster.emplace(std::move(*caster));
   ProgressReport report(progress, "patches", 0, settings.stop);
@@ -268,8 +272,7 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
     keep(findSlivers(scene), surface->findings);
     keep(findOpenEdges(scene, *surface->caster, report.count), surface->findings);
   }
-  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals, .merge_error = settings.merge_error,
-                          .max_pieces = std::min(kMostPieces, piecesThatFit(scene, settings))};
+  const PatchSettings cut{.cell_m = settings.cell_m, .done = &report.count, .metals = settings.metals, .merge_error = settings.merge_error};
   auto set = settings.cell_m > 0 ? makePatches(scene, cut, &*surface->caster) : patchesWithin(settings.patch_budget, scene, cut, *surface->caster);
   if (!set) return set.error();
   surface->set = std::move(*set);
@@ -284,7 +287,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     const BakeEstimate estimate = estimateBake(scene, settings);
     if (settings.announce) settings.announce(estimate);
     if (auto fits = checkFits(scene, settings, estimate); !fits) return fits;
-    if (auto space = checkSpace(path, estimate); !space) return space;
+    if (auto space = checkSpace(path, settings, estimate); !space) return space;
     auto created = formats::WorldWriter::create(path);
     if (!created) return created.error();
     writer.emplace(std::move(*created));
@@ -314,13 +317,13 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units, take, settings.ranks);
     else castRows(scene, set, caster, budget, settings.seed, report.count, take);
   }
-  const std::vector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
+  const PagedVector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
   (*surface)->caster.reset();
   set.forgetPieces();
   giveBackMemory();
   stats.ray_seconds = since(cast_began);
-  std::vector<float> sky(n), whole_area(n);
-  std::vector<uint8_t> narrow(n), lamp_lit(n);
+  PagedVector<float> sky(n), whole_area(n);
+  PagedVector<uint8_t> narrow(n), lamp_lit(n);
   double square_error = 0;
   for (size_t i = 0; i < n; ++i) {
     const PatchSight& sight = hits.sight[i];
@@ -348,15 +351,15 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
 
   // Pooling and the pyramid.
   const Hierarchy hierarchy = makeHierarchy(set.patches, sky, narrow, lamp_lit);
-  std::vector<uint32_t> patch_of(n);
+  PagedVector<uint32_t> patch_of(n);
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
   uint64_t tiles_total = 0;
   for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
   Spill rows_aside(path, spareMemory(settings.memory_bytes) / 4);
-  std::vector<double> density(n);
+  PagedVector<double> density(n);
   for (size_t i = 0; i < n; ++i) density[hierarchy.number[i]] = hits.sight[i].rays / static_cast<double>(whole_area[i]);
   std::vector<LevelRows> levels;
-  std::vector<std::vector<LightValues>> light;  // of all nodes, by level
+  std::vector<PagedVector<LightValues>> light;  // of all nodes, by level
   {
     ProgressReport report(progress, "pyramid", hits.ranges() + hierarchy.tile_start[0].size() - 1 + tiles_total, settings.stop);
     for (uint32_t l = 0; l < hierarchy.levels(); ++l)
@@ -455,7 +458,8 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     }
   }
 
-  if (auto ok = writer->finish(info, hierarchy.parents); !ok) return ok.error();
+  const std::vector<std::span<const uint32_t>> parents(hierarchy.parents.begin(), hierarchy.parents.end());
+  if (auto ok = writer->finish(info, parents); !ok) return ok.error();
   if (settings.cache) {
     settings.cache->trim();
     for (std::string& line : settings.cache->warnings()) stats.warnings.push_back(std::move(line));
@@ -495,10 +499,11 @@ Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, cons
   return status;
 }
 
-// What libraries throw, as errors.
+// What libraries throw, as errors. folder: of arrays that memory has no room for.
 template <class F>
-auto caught(const Scene& scene, F f) -> decltype(f()) {
+auto caught(const Scene& scene, const BakeSettings& settings, const std::string& folder, F f) -> decltype(f()) {
   try {
+    const Paging paging(folder, settings.memory_bytes);
     return f();
   } catch (const Stopped&) {
     return Error{ErrorCode::kIo, scene.name, "", "the bake was stopped", "", ErrorCause::kStopped};
@@ -516,15 +521,15 @@ auto caught(const Scene& scene, F f) -> decltype(f()) {
 }  // namespace
 
 Result<BakeStats> bakeWorld(const Scene& whole, const BakeSettings& settings, const std::string& path, const Progress& progress) {
-  return caught(whole, [&] { return bake(whole, settings, path, progress); });
+  return caught(whole, settings, formats::folderOf(path), [&] { return bake(whole, settings, path, progress); });
 }
 
 Result<void> helpBake(const Scene& whole, const BakeSettings& settings) {
-  return caught(whole, [&] { return help(whole, settings); });
+  return caught(whole, settings, settings.cache->folder(), [&] { return help(whole, settings); });
 }
 
 Result<BakeStatus> bakeStatus(const Scene& whole, const BakeSettings& settings, const Progress& progress) {
-  return caught(whole, [&] { return status(whole, settings, progress); });
+  return caught(whole, settings, settings.cache->folder(), [&] { return status(whole, settings, progress); });
 }
 
 }  // namespace ff::bake

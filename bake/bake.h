@@ -27,7 +27,10 @@ inline constexpr double kClusterQuanta = 0.5;
 
 // Of a bake before it is begun: within a factor of two or so.
 struct BakeEstimate {
-  double cell_m = 0, pieces = 0, patches = 0, memory_bytes = 0, disk_bytes = 0, seconds = 0;
+  double cell_m = 0, pieces = 0, patches = 0, seconds = 0;
+  double memory_bytes = 0;        // that it would take if it had all that it can make use of; what it has less goes to files beside the world
+  double least_memory_bytes = 0;  // that it takes in any case
+  double disk_bytes = 0;          // of the world
 };
 
 struct BakeSettings {
@@ -41,8 +44,8 @@ struct BakeSettings {
   float metals = 1;               // PatchSettings::metals
   float merge_error = 0;          // PatchSettings::merge_error
   CleanupSettings cleanup{};
-  uint64_t memory_bytes = 0;      // most that the process holds, within a tenth: what does not fit goes to files beside the world, and a bake that would
-                                  // need more all the same is refused; 0: what the machine has free
+  uint64_t memory_bytes = 0;      // most that the process holds, within a tenth: what does not fit goes to files beside the world, and less than the little
+                                  // that any bake takes is refused; 0: what the machine has free
   std::function<void(const BakeEstimate&)> announce{};  // called once the scene is cleaned up, before the work
   BakeCache* cache = nullptr;      // what was done before is taken from it, what is done is kept there; null: neither
   Ranks* ranks = nullptr;          // other processes that help, with a cache that all of them see; null: none

@@ -10,13 +10,11 @@ namespace ff::bake {
 // From areas and boxes alone, in one pass over the triangles. cell_m: the patch size; 0: as the budget asks.
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings);
 
-// Refuses (kUsage) what does not fit into settings.memory_bytes, or into what is free where that is 0, and says which size would.
+// Refuses (kUsage) a bake that takes more than settings.memory_bytes, or than what is free where that is 0, whatever it puts into files; says which size would
+// take less.
 Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& estimate);
 
-// The pieces of surface that memory has room for, within a tenth.
-double piecesThatFit(const Scene& scene, const BakeSettings& settings);
-
-// Refuses (kIo) a world that its disk has no room for. What cannot be found out is not refused.
-Result<void> checkSpace(const std::string& path, const BakeEstimate& estimate);
+// Refuses (kIo) a world that its disk has no room for, together with what memory has none for. What cannot be found out is not refused.
+Result<void> checkSpace(const std::string& path, const BakeSettings& settings, const BakeEstimate& estimate);
 
 }  // namespace ff::bake

@@ -43,14 +43,19 @@ uint64_t freeMemory() {
   return free;
 }
 
+ResidentMemory residentMemory() {
+  std::ifstream statm("/proc/self/statm");
+  uint64_t pages = 0, resident = 0, files = 0;
+  statm >> pages >> resident >> files;
+  const auto page = static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
+  return {resident * page, std::min(files, resident) * page};
+}
+
 uint64_t spareMemory(uint64_t limit_bytes) {
   constexpr uint64_t kLeast = uint64_t{8} << 20;
   if (limit_bytes == 0) return std::max(kLeast, freeMemory());
-  std::ifstream statm("/proc/self/statm");
-  uint64_t pages = 0, resident = 0;
-  statm >> pages >> resident;
-  resident *= static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
-  return std::max(kLeast, limit_bytes - std::min(limit_bytes, resident));
+  const ResidentMemory resident = residentMemory();
+  return std::max(kLeast, limit_bytes - std::min(limit_bytes, resident.all - resident.files));
 }
 
 void giveBackMemory() {

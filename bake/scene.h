@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "bake/finding.h"
+#include "bake/paging.h"
 #include "formats/model.h"
 #include "formats/result.h"
 #include "formats/vec3.h"
@@ -77,14 +78,14 @@ enum class Backs : uint8_t {
 struct Scene {
   std::string name;                 // file name without folders
   std::array<double, 3> origin{};   // m, in world space: of all coordinates here; not 0 only where the scene stands far from the world's
-  std::vector<Vec3> positions;      // m
-  std::vector<Triangle> triangles;  // counter-clockwise seen from the front (mirrored nodes are already flipped)
-  std::vector<Vec2> uv0;            // base colour, KHR_texture_transform applied; one per position, or empty
-  std::vector<Vec2> uv1;            // emission, likewise
-  std::vector<Rgba> colors;         // vertex colours, which multiply base_color and alpha; one per position, or empty
+  PagedVector<Vec3> positions;      // m
+  PagedVector<Triangle> triangles;  // counter-clockwise seen from the front (mirrored nodes are already flipped)
+  PagedVector<Vec2> uv0;            // base colour, KHR_texture_transform applied; one per position, or empty
+  PagedVector<Vec2> uv1;            // emission, likewise
+  PagedVector<Rgba> colors;         // vertex colours, which multiply base_color and alpha; one per position, or empty
   std::vector<Material> materials;
   std::vector<Image> images;
-  std::vector<Object> objects;     // ascending; empty where nothing is known
+  PagedVector<Object> objects;     // ascending; empty where nothing is known
   std::vector<std::string> node_names, mesh_names;
   Backs backs = Backs::kAbsorb;
   std::vector<formats::Light> lights;   // KHR_lights_punctual

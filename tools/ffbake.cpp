@@ -207,6 +207,7 @@ int run(int argc, char** argv) {
     last = Clock::now();
     printer("import", done, total);
   };
+  const bake::Paging paging(formats::folderOf(out), settings.memory_bytes);
   auto scene = bake::importFiles(*files, import);
   printer.endLine();
   if (!scene) return leave(fail(scene.error()));

@@ -1,9 +1,15 @@
 #include "bake/cleanup/coincident.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <array>
+#include <atomic>
+#include <bit>
 #include <cmath>
+#include <functional>
 #include <utility>
+#include <vector>
 
 #include <tsl/robin_map.h>
 
@@ -73,12 +79,10 @@ Face faceOf(const Scene& scene, uint32_t t, uint32_t u) {
   return face;
 }
 
-// Faces by where they are; of those that coincide one stays.
-class Finder {
- public:
-  Finder(const Scene& scene, std::vector<bool>& duplicate) : scene_(scene), duplicate_(duplicate) {}
-
-  void add(const Face& face) {
+// The boxes in which faces are looked for that lie where one does: some eight tolerances wide, those that a tolerance reaches, of its size and, at its end,
+// the next. A face is kept in `own`, which is one of them.
+struct Boxes {
+  explicit Boxes(const Face& face) {
     double largest = 0;
     std::array<double, 3> centre{};
     for (uint32_t i = 0; i < face.corners; ++i)
@@ -87,36 +91,106 @@ class Finder {
         largest = std::max(largest, std::abs(x));
         centre[static_cast<size_t>(k)] += x / face.corners;
       }
-    const double tolerance = kRounding * largest;
-    // Boxes some eight tolerances wide, and looked for in all that a tolerance reaches, of this size and, at its end, the next.
-    std::array<int, 2> sizes{std::ilogb(largest * (1 - kRounding)), std::ilogb(largest * (1 + kRounding))};
-    for (int s = 0; s < (sizes[0] == sizes[1] ? 1 : 2); ++s) {
-      const double box = std::ldexp(1.0, sizes[static_cast<size_t>(s)] - 14);
-      std::array<std::array<int64_t, 2>, 3> range;
-      for (size_t k = 0; k < 3; ++k)
-        range[k] = {std::llround(std::floor((centre[k] - tolerance) / box)), std::llround(std::floor((centre[k] + tolerance) / box))};
-      for (int64_t x = range[0][0]; x <= range[0][1]; ++x)
-        for (int64_t y = range[1][0]; y <= range[1][1]; ++y)
-          for (int64_t z = range[2][0]; z <= range[2][1]; ++z) {
-            const auto there = last_.find(key(x, y, z, sizes[static_cast<size_t>(s)], face.corners));
-            for (uint32_t f = there == last_.end() ? kNone : there->second; f != kNone; f = before_[f])
-              if (merge(faces_[f], face, tolerance)) return;
-          }
+    tolerance = kRounding * largest;
+    const auto at = [&](double box, double off) {
+      std::array<int64_t, 3> place;
+      for (size_t k = 0; k < 3; ++k) place[k] = std::llround(std::floor((centre[k] + off) / box));
+      return place;
+    };
+    const int own_size = std::ilogb(largest);
+    const auto here = at(std::ldexp(1.0, own_size - 14), 0);
+    own = keyOf(here[0], here[1], here[2], own_size, face.corners);
+    const std::array<int, 2> sizes{std::ilogb(largest * (1 - kRounding)), std::ilogb(largest * (1 + kRounding))};
+    for (size_t s = 0; s < (sizes[0] == sizes[1] ? 1u : 2u); ++s) {
+      const double box = std::ldexp(1.0, sizes[s] - 14);
+      const auto lo = at(box, -tolerance), hi = at(box, tolerance);
+      for (int64_t x = lo[0]; x <= hi[0]; ++x)
+        for (int64_t y = lo[1]; y <= hi[1]; ++y)
+          for (int64_t z = lo[2]; z <= hi[2]; ++z)
+            keys[count++] = keyOf(x, y, z, sizes[s], face.corners);
     }
-    const double box = std::ldexp(1.0, std::ilogb(largest) - 14);
-    const auto at = [&](size_t k) { return std::llround(std::floor(centre[k] / box)); };
+  }
+
+  double tolerance = 0;
+  uint64_t own = 0;
+  std::array<uint64_t, 16> keys{};
+  size_t count = 0;
+
+ private:
+  static uint64_t keyOf(int64_t x, int64_t y, int64_t z, int size, uint32_t corners) {
+    return mix64(mix64(mix64(static_cast<uint64_t>(x)) + static_cast<uint64_t>(y)) + static_cast<uint64_t>(z)) +
+           static_cast<uint64_t>(size) * 8 + corners;
+  }
+};
+
+// Which faces share a box with another: of most scenes few, so that the others, as many as the scene has, need no table. Some that share none are among
+// them. Boxes are counted up to two by a hash of few bits, over and over, of those faces that are left, by another hash. On all of TBB's threads.
+class SharedBoxes {
+ public:
+  static constexpr int kRounds = 4;
+  // face_at(number, face): false where there is no such face. Thread-safe.
+  template <class FaceAt>
+  SharedBoxes(size_t faces, FaceAt face_at)
+      : shared_((faces + 63) / 64, ~uint64_t{0}), bits_(std::clamp(std::bit_ceil(8 * faces), kLeastBits, kMostBits)) {
+    for (int round = 0; round < kRounds; ++round) {
+      std::vector<uint64_t> once(bits_ / 64), again(bits_ / 64);
+      const auto place = [&](uint64_t key) { return mix64(key + static_cast<uint64_t>(round)) & (bits_ - 1); };
+      each(face_at, [&](size_t, const Boxes& boxes) {
+        for (size_t k = 0; k < boxes.count; ++k) {
+          const size_t p = place(boxes.keys[k]);
+          const uint64_t bit = uint64_t{1} << (p & 63);
+          if (std::atomic_ref(once[p / 64]).fetch_or(bit, std::memory_order_relaxed) & bit) std::atomic_ref(again[p / 64]).fetch_or(bit, std::memory_order_relaxed);
+        }
+        return true;
+      });
+      each(face_at, [&](size_t, const Boxes& boxes) {
+        return std::any_of(boxes.keys.begin(), boxes.keys.begin() + static_cast<ptrdiff_t>(boxes.count), [&](uint64_t key) {
+          const size_t p = place(key);
+          return again[p / 64] >> (p & 63) & 1;
+        });
+      });
+    }
+  }
+  bool has(size_t face) const { return shared_[face / 64] >> (face & 63) & 1; }
+
+ private:
+  static constexpr size_t kLeastBits = size_t{1} << 12, kMostBits = size_t{1} << 28;
+
+  // keep(number, boxes) says which ones stay.
+  template <class FaceAt, class Keep>
+  void each(FaceAt face_at, Keep keep) {
+    tbb::parallel_for(size_t{0}, shared_.size(), [&](size_t word) {
+      Face face;
+      for (uint64_t left = shared_[word]; left; left &= left - 1) {
+        const auto bit = static_cast<size_t>(std::countr_zero(left));
+        if (!face_at(64 * word + bit, face) || !keep(64 * word + bit, Boxes(face))) shared_[word] &= ~(uint64_t{1} << bit);
+      }
+    });
+  }
+
+  std::vector<uint64_t> shared_;  // a bit a face
+  const size_t bits_;
+};
+
+// Faces by where they are; of those that coincide one stays.
+class Finder {
+ public:
+  Finder(const Scene& scene, std::vector<bool>& duplicate) : scene_(scene), duplicate_(duplicate) {}
+
+  void add(const Face& face) {
+    const Boxes boxes(face);
+    for (size_t k = 0; k < boxes.count; ++k) {
+      const auto there = last_.find(boxes.keys[k]);
+      for (uint32_t f = there == last_.end() ? kNone : there->second; f != kNone; f = before_[f])
+        if (merge(faces_[f], face, boxes.tolerance)) return;
+    }
     const auto number = static_cast<uint32_t>(faces_.size());
-    const auto [here, first] = last_.insert({key(at(0), at(1), at(2), std::ilogb(largest), face.corners), number});
+    const auto [here, first] = last_.insert({boxes.own, number});
     before_.push_back(first ? kNone : std::exchange(here.value(), number));
     faces_.push_back(face.triangles);
   }
 
  private:
-  static uint64_t key(int64_t x, int64_t y, int64_t z, int size, uint32_t corners) {
-    return mix64(mix64(mix64(static_cast<uint64_t>(x)) + static_cast<uint64_t>(y)) + static_cast<uint64_t>(z)) +
-           static_cast<uint64_t>(size) * 8 + corners;
-  }
-
   const Material& materialOf(const Face& face) const { return scene_.materials[scene_.triangles[face.triangles[0]].material]; }
 
   bool merge(std::array<uint32_t, 2>& there, const Face& face, double tolerance) {
@@ -132,9 +206,9 @@ class Finder {
 
   const Scene& scene_;
   std::vector<bool>& duplicate_;
-  std::vector<std::array<uint32_t, 2>> faces_;
-  tsl::robin_map<uint64_t, uint32_t> last_;  // of a box: its newest face
-  std::vector<uint32_t> before_;             // of a face: the next older one of its box; kNone
+  PagedVector<std::array<uint32_t, 2>> faces_;
+  tsl::robin_map<uint64_t, uint32_t, std::hash<uint64_t>, std::equal_to<uint64_t>, PagedAllocator<std::pair<uint64_t, uint32_t>>> last_;  // of a box: its newest face
+  PagedVector<uint32_t> before_;             // of a face: the next older one of its box; kNone
 };
 
 }  // namespace
@@ -143,16 +217,22 @@ std::vector<bool> findDuplicates(const Scene& scene) {
   std::vector<bool> duplicate(scene.triangles.size());
   const auto n = static_cast<uint32_t>(scene.triangles.size());
   {
+    const SharedBoxes shared(n, [&](size_t t, Face& face) {
+      if (t < n) face = faceOf(scene, static_cast<uint32_t>(t), static_cast<uint32_t>(t));
+      return t < n;
+    });
     Finder triangles(scene, duplicate);
-    for (uint32_t t = 0; t < n; ++t) triangles.add(faceOf(scene, t, t));
+    for (uint32_t t = 0; t < n; ++t)
+      if (shared.has(t)) triangles.add(faceOf(scene, t, t));
   }
-  Finder quads(scene, duplicate);
+  std::vector<bool> begins(n);  // a quad, with the next triangle
   Face quad;
-  for (uint32_t t = 0; t + 1 < n; ++t) {
-    if (duplicate[t] || duplicate[t + 1] || !makeQuad(scene, t, t + 1, quad)) continue;
-    quads.add(quad);
-    ++t;
-  }
+  for (uint32_t t = 0; t + 1 < n; ++t)
+    if (!duplicate[t] && !duplicate[t + 1] && makeQuad(scene, t, t + 1, quad)) begins[t++] = true;
+  const SharedBoxes shared(n, [&](size_t t, Face& face) { return t < n && begins[t] && makeQuad(scene, static_cast<uint32_t>(t), static_cast<uint32_t>(t) + 1, face); });
+  Finder quads(scene, duplicate);
+  for (uint32_t t = 0; t + 1 < n; ++t)
+    if (shared.has(t) && makeQuad(scene, t, t + 1, quad)) quads.add(quad);
   return duplicate;
 }
 

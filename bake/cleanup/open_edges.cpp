@@ -35,18 +35,12 @@ class WeldedEdges {
   }
 
   // Used once, by surface that may not end anywhere; by their first corner.
-  std::vector<uint32_t> open() const {
-    std::vector<uint32_t> found;
-    for (const uint32_t e : table_)
-      if (e != kNone && !(e & kAgain) && isSolid(e / 3)) found.push_back(e);
-    std::sort(found.begin(), found.end(), [&](uint32_t a, uint32_t b) { return std::pair(from(a), a) < std::pair(from(b), b); });
-    return found;
-  }
-  // f(edge) for all edges of such surface, each once, in an order that depends on the scene alone.
+  const std::vector<uint32_t>& open() const { return open_; }
+  // f(edge) for all edges of such surface, each once.
   template <class F>
   void each(F f) const {
-    for (const uint32_t e : table_)
-      if (e != kNone && isSolid((e & ~kAgain) / 3)) f(e & ~kAgain);
+    for (uint32_t e = 0; e < first_.size(); ++e)
+      if (first_[e]) f(e);
   }
 
   bool isSolid(uint32_t t) const {
@@ -60,39 +54,68 @@ class WeldedEdges {
   double lengthOf(uint32_t e) const { return length(along(e)); }
 
  private:
+  // Things are looked up in a table of those of one share at a time, by hash, so that it has room in memory however many there are.
+  static size_t sharesOf(size_t things) { return (things + kTableThings - 1) / kTableThings; }
+  static size_t tableOf(size_t things) { return std::bit_ceil(things / std::max<size_t>(1, sharesOf(things)) * 3 / 2 + 64); }
+
   void weld() {
     const auto n = static_cast<uint32_t>(scene_.positions.size());
-    std::vector<uint32_t> table(std::bit_ceil(size_t{n} * 3 / 2 + 1), kNone);
-    for (uint32_t i = 0; i < n; ++i) {
-      if (i % kBatch == 0) stop_.add(0);
-      const Vec3 p = scene_.positions[i];
-      uint64_t hash = 0;
-      for (int k = 0; k < 3; ++k) hash = mix64(hash + std::bit_cast<uint32_t>(p[k] + 0.0f));  // -0 is 0
-      size_t slot = hash & (table.size() - 1);
-      while (table[slot] != kNone && !(scene_.positions[table[slot]] == p)) slot = (slot + 1) & (table.size() - 1);
-      if (table[slot] == kNone) table[slot] = i;
-      same_[i] = table[slot];
+    std::vector<uint32_t> table(tableOf(n));
+    const size_t shares = sharesOf(n), mask = table.size() - 1;
+    for (size_t share = 0; share < shares; ++share) {
+      std::fill(table.begin(), table.end(), kNone);
+      for (uint32_t i = 0; i < n; ++i) {
+        if (i % kBatch == 0) stop_.add(0);
+        const Vec3 p = scene_.positions[i];
+        uint64_t hash = 0;
+        for (int k = 0; k < 3; ++k) hash = mix64(hash + std::bit_cast<uint32_t>(p[k] + 0.0f));  // -0 is 0
+        if ((hash >> 32) % shares != share) continue;
+        size_t slot = hash & mask;
+        while (table[slot] != kNone && !(scene_.positions[table[slot]] == p)) slot = (slot + 1) & mask;
+        if (table[slot] == kNone) table[slot] = i;
+        same_[i] = table[slot];
+      }
     }
   }
 
   void findOnce() {
-    const auto n = static_cast<uint32_t>(scene_.triangles.size());
-    table_.assign(std::bit_ceil(size_t{n} * 3 + 1 + n / 2), kNone);
-    const auto key = [&](uint32_t e) { return std::minmax({from(e), to(e)}); };
-    for (uint32_t e = 0; e < 3 * n; ++e) {
-      if (e % kBatch == 0) stop_.add(0);
-      const auto k = key(e);
-      size_t slot = mix64(mix64(k.first) + k.second) & (table_.size() - 1);
-      while (table_[slot] != kNone && key(table_[slot] & ~kAgain) != k) slot = (slot + 1) & (table_.size() - 1);
-      if (table_[slot] == kNone) table_[slot] = e;
-      else table_[slot] |= kAgain;
+    struct Edge {
+      uint32_t a, b;     // corners, the lower number first
+      uint32_t edge;     // the first of these; with kAgain where others are equal
+    };
+    const auto n = 3 * static_cast<uint32_t>(scene_.triangles.size());
+    first_.resize(n);
+    std::vector<Edge> table(tableOf(n));
+    const size_t shares = sharesOf(n), mask = table.size() - 1;
+    for (size_t share = 0; share < shares; ++share) {
+      std::fill(table.begin(), table.end(), Edge{0, 0, kNone});
+      for (uint32_t e = 0; e < n; ++e) {
+        if (e % kBatch == 0) stop_.add(0);
+        const auto [a, b] = std::minmax({from(e), to(e)});
+        const uint64_t hash = mix64(mix64(a) + b);
+        if ((hash >> 32) % shares != share) continue;
+        size_t slot = hash & mask;
+        while (table[slot].edge != kNone && (table[slot].a != a || table[slot].b != b)) slot = (slot + 1) & mask;
+        if (table[slot].edge == kNone) table[slot] = {a, b, e};
+        else table[slot].edge |= kAgain;
+      }
+      for (const Edge& at : table) {
+        const uint32_t e = at.edge & ~kAgain;
+        if (at.edge == kNone || !isSolid(e / 3)) continue;
+        first_[e] = true;
+        if (e == at.edge) open_.push_back(e);
+      }
     }
+    std::sort(open_.begin(), open_.end(), [&](uint32_t a, uint32_t b) { return std::pair(from(a), a) < std::pair(from(b), b); });
   }
+
+  static constexpr size_t kTableThings = size_t{1} << 22;
 
   const Scene& scene_;
   WorkCount& stop_;
-  std::vector<uint32_t> same_;   // of a position: the first that is equal
-  std::vector<uint32_t> table_;  // of an edge: the first; with kAgain where others are equal
+  PagedVector<uint32_t> same_;   // of a position: the first that is equal
+  std::vector<bool> first_;      // of an edge of solid surface: whether it is the first of those that are equal
+  std::vector<uint32_t> open_;
 };
 
 // Open edges that follow each other until they close, or end.
@@ -240,7 +263,7 @@ std::pair<uint32_t, Vec3> placeOf(const WeldedEdges& edges, const OpenLoop& loop
 std::optional<Finding> findOpenEdges(const Scene& scene, const RayCaster& caster, WorkCount& stop) {
   if (scene.backs != Backs::kAbsorb || scene.triangles.size() >= kAgain / 3) return {};
   const WeldedEdges edges(scene, stop);
-  const std::vector<uint32_t> open = edges.open();
+  const std::vector<uint32_t>& open = edges.open();
   if (open.empty()) return {};
   Box box;
   UnionFind connected(scene.positions.size());

@@ -32,14 +32,14 @@ ImageKey keyOf(const Image& image) {
   return {h.high64, h.low64};
 }
 
-template <class T>
-void append(std::vector<T>& to, std::vector<T>& from) {
+template <class Array>
+void append(Array& to, Array& from) {
   to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
 }
 
 // Attributes that a scene has for all positions or for none: where some of all have them, the others get the default.
-template <class T>
-void appendAttribute(std::vector<T>& to, size_t positions_before, std::vector<T>& from, size_t positions) {
+template <class Array>
+void appendAttribute(Array& to, size_t positions_before, Array& from, size_t positions) {
   if (to.empty() && from.empty()) return;
   to.resize(positions_before);
   from.resize(positions);

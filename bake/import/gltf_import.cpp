@@ -34,7 +34,7 @@ constexpr double kNearBy = 16;
 std::array<double, 3> originOf(const Scene& scene) {
   std::array<double, 3> median{}, origin{};
   double size = 0;
-  std::vector<float> at;
+  PagedVector<float> at;
   for (int a = 0; a < 3; ++a) {
     at.clear();
     for (const Triangle& t : scene.triangles) at.push_back(scene.positions[t.v[0]][a]);
@@ -233,7 +233,7 @@ class Builder {
 
   // The array starts with the first surface that needs it; surfaces without values get the neutral ones.
   template <class T>
-  void addPerVertex(std::vector<T>& all, const std::vector<T>& values, uint32_t first) {
+  void addPerVertex(PagedVector<T>& all, const PagedVector<T>& values, uint32_t first) {
     if (values.empty() && all.empty()) return;
     budget_.take((scene_.positions.size() - all.size()) * sizeof(T), "vertex attributes");
     all.resize(first);
@@ -263,8 +263,8 @@ class Hasher {
   }
   void add(const std::string& text) { add(text.data(), text.size()); }
   void add(uint64_t n) { add(&n, sizeof n); }
-  template <class T>
-  void add(const std::vector<T>& v) {
+  template <class T, class Allocator>
+  void add(const std::vector<T, Allocator>& v) {
     static_assert(std::has_unique_object_representations_v<T> || sizeof(T) % sizeof(float) == 0, "no padding");
     add(uint64_t{v.size()});
     add(v.data(), v.size() * sizeof(T));

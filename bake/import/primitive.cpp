@@ -11,7 +11,7 @@ namespace {
 constexpr uint32_t kUnseen = 0xffffffffu;
 constexpr float kLargestUv = 65536;  // beyond, a float has no useful fraction left
 
-using Triangles = std::vector<std::array<uint32_t, 3>>;
+using Triangles = PagedVector<std::array<uint32_t, 3>>;
 
 // The triangles of a run of `count` corners. corner(i): vertex number of the i-th.
 template <class Corner>
@@ -70,7 +70,7 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
   if (draco != primitive.extensions.end()) {
     DracoMesh mesh = decodeDraco(document, draco->second, primitive.mode, place, budget);
     attributes = std::move(mesh.attributes);
-    triangles = std::move(mesh.triangles);
+    triangles.assign(mesh.triangles.begin(), mesh.triangles.end());
     vertex_count = mesh.vertex_count;
     budget.take(taken = surfaceBytes(vertex_count, triangles.size()), place);
   } else {
@@ -127,7 +127,7 @@ Surface readSurface(const Document& document, const tinygltf::Primitive& primiti
   const Elements& positions = attributes.at("POSITION");
 
   // Only vertices in use are kept, in order of first use: several primitives may share one large accessor.
-  std::vector<uint32_t> kept(vertex_count, kUnseen);
+  PagedVector<uint32_t> kept(vertex_count, kUnseen);
   bool white = true;
   for (auto& triangle : triangles) {
     for (uint32_t& v : triangle) {

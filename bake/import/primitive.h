@@ -18,10 +18,10 @@ struct UvSource {
 };
 
 struct Surface {
-  std::vector<Vec3> positions;
-  std::vector<Vec2> uv0, uv1;                      // empty where the source is not used
-  std::vector<std::array<uint32_t, 3>> triangles;  // vertex numbers < positions.size()
-  std::vector<Rgba> colors;                        // COLOR_0, 0..1; empty without, and where all is white
+  PagedVector<Vec3> positions;
+  PagedVector<Vec2> uv0, uv1;                      // empty where the source is not used
+  PagedVector<std::array<uint32_t, 3>> triangles;  // vertex numbers < positions.size()
+  PagedVector<Rgba> colors;                        // COLOR_0, 0..1; empty without, and where all is white
 };
 
 // Refuses vertex numbers out of range, values that are not finite, and texture coordinates that are missing.

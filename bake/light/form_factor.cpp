@@ -67,7 +67,7 @@ struct RowCaster::State {
       caster.nearest(std::span(rays).first(n), std::span(hits).first(n));
     }
 
-    std::vector<uint16_t> count;     // per patch of the set, zero between rows
+    PagedVector<uint16_t> count;     // per patch of the set, zero between rows
     std::vector<uint32_t> touched;
     std::vector<SurfacePoint> points;
     std::vector<Ray> rays;           // from them
@@ -96,7 +96,7 @@ struct RowCaster::State {
 };
 
 RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed)
-    : state_(new State{scene, set, caster, budget, seed, SobolTable(budget.rays), LampTree(set), MadeUpLight(set), {}}) {}
+    : state_(new State{scene, set, caster, budget, seed, SobolTable(budget.rays), LampTree(scene, set, caster), MadeUpLight(set), {}}) {}
 RowCaster::~RowCaster() = default;
 
 HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const {

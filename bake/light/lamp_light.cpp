@@ -64,7 +64,7 @@ void LampLight::aim(uint32_t patch, uint32_t rays) {
     cast[s.aim] += 1;
     if (!(s.arriving > 0)) continue;
     seen[s.aim] += 1;
-    const double light = luminance(set_.patches[s.to.patch].emission) * s.arriving / s.density;
+    const double light = luminance(tree_.emission(s.to.leaf)) * s.arriving / s.density;
     mean += light;
     square[s.aim] += light * light;
   }
@@ -98,7 +98,7 @@ LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) con
   const double leaving = -static_cast<double>(dot(s.to.normal, way)) / distance;
   if (!(leaving > 0)) return s;
   s.arriving = std::max(0.0, static_cast<double>(dot(from.normal, way)) / distance);
-  s.density = chance_[a] * tree_.density(aims_[a].node, s.to.patch) * square / leaving;
+  s.density = chance_[a] * tree_.density(aims_[a].node, s.to.leaf) * square / leaving;
   return s;
 }
 
@@ -112,11 +112,11 @@ void LampLight::castTowards(double offset) {
     if (!(s.arriving > 0)) continue;
     const LampTree::Point& to = s.to;
     bool hole = false;  // points are spread over the whole, holes included
-    if (scene_.materials[scene_.triangles[to.triangle].material].cutout) {
+    if (to.cutout) {
       const auto [b, c] = barycentric(scene_, to.triangle, to.position);
       hole = isHole(scene_, to.triangle, b, c);
     }
-    const Vec3 end = to.position + to.normal * caster_.surfaceOffset(to.triangle), way = end - from.position;
+    const Vec3 end = to.position + to.normal * to.offset_m, way = end - from.position;
     const float distance = length(way);
     if (hole || !(distance > 0)) {
       s.arriving = 0;
@@ -130,10 +130,10 @@ void LampLight::castTowards(double offset) {
     if (ways_[w].occluded) samples_[way_to_[w]].arriving = 0;
 }
 
-void LampLight::add(uint32_t emitter, double weight) {
-  const Patch& p = set_.patches[emitter];
-  LampIrradiance& light = entryOf(light_, p.lamp_group);
-  for (int c = 0; c < 3; ++c) light.rgb[static_cast<size_t>(c)] += weight * static_cast<double>(p.emission[c]);
+void LampLight::add(uint32_t leaf, double weight) {
+  LampIrradiance& light = entryOf(light_, tree_.group(leaf));
+  const Vec3 emission = tree_.emission(leaf);
+  for (int c = 0; c < 3; ++c) light.rgb[static_cast<size_t>(c)] += weight * static_cast<double>(emission[c]);
 }
 
 // With p the density of the row's rays (cosine / pi) and q that of rays towards lamps, both per steradian, N and K their numbers,
@@ -151,11 +151,11 @@ void LampLight::hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& 
     const Vec3 normal = normalized(cross(scene_.positions[v[1]] - corner, scene_.positions[v[2]] - corner)) * (front ? 1.0f : -1.0f);
     const Vec3 way = at - ray.origin;
     const double leaving = -static_cast<double>(dot(normal, ray.direction));
-    if (leaving > 0) density = chance_[a] * tree_.density(node, emitter) * static_cast<double>(dot(way, way)) / leaving;
+    if (leaving > 0) density = chance_[a] * tree_.density(node, leaf) * static_cast<double>(dot(way, way)) / leaving;
     break;
   }
   const double own = static_cast<double>(cosine) * std::numbers::inv_pi;
-  if (own > 0) add(emitter, powerWeight(row_rays_ * own, count_ * density) / row_rays_);
+  if (own > 0) add(leaf, powerWeight(row_rays_ * own, count_ * density) / row_rays_);
 }
 
 std::vector<LampIrradiance> LampLight::finish() {
@@ -165,7 +165,7 @@ std::vector<LampIrradiance> LampLight::finish() {
   for (const Sample& s : samples_) {
     if (!(s.arriving > 0)) continue;
     const double own = s.arriving * std::numbers::inv_pi;
-    add(s.to.patch, own * powerWeight(count_ * s.density, row_rays_ * own) / (count_ * s.density));
+    add(s.to.leaf, own * powerWeight(count_ * s.density, row_rays_ * own) / (count_ * s.density));
   }
   return light_;
 }

@@ -47,7 +47,7 @@ class LampLight {
   Sample sample(const SurfacePoint& from, double choice) const;
   // Sets samples_: of points_, one each, stratified by `offset`, 0 to 1; dark where something is in the way.
   void castTowards(double offset);
-  void add(uint32_t emitter, double weight);
+  void add(uint32_t leaf, double weight);
 
   const Scene& scene_;
   const PatchSet& set_;
@@ -59,7 +59,7 @@ class LampLight {
   uint32_t patch_ = 0, count_ = 0;        // count: rays towards lamps
   std::vector<LampTree::Aim> aims_;
   std::vector<double> chance_, cumulative_;  // by aim
-  std::vector<uint32_t> aim_of_node_;        // by node of the tree; valid where aims_[aim].node == node
+  PagedVector<uint32_t> aim_of_node_;        // by node of the tree; valid where aims_[aim].node == node
   std::vector<SurfacePoint> points_;
   std::vector<Sample> samples_;
   std::vector<SightLine> ways_;    // to those that are not dark

@@ -51,12 +51,11 @@ Receiver receiverOf(const PatchSet& set, uint32_t patch) {
           coneOf({set.triangles.data() + p.first_triangle, p.triangles})};
 }
 
-LampTree::LampTree(const PatchSet& set) : set_(set), leaf_of_(set.patches.size(), kNone) {
-  std::vector<uint32_t> emitters;
+LampTree::LampTree(const Scene& scene, const PatchSet& set, const RayCaster& caster) : scene_(scene), set_(set), caster_(caster), leaf_of_(set.patches.size(), kNone) {
+  PagedVector<uint32_t> emitters;
   for (uint32_t p = 0; p < set.patches.size(); ++p)
     if (set.patches[p].emits() && luminanceOf(set.patches[p].emission) > 0) emitters.push_back(p);
   if (emitters.empty()) return;
-  cumulative_m2_.resize(set.triangles.size());
   nodes_.reserve(2 * emitters.size());
   build(emitters, kNone);  // patches are sorted by Hilbert key: halves are compact
 }
@@ -66,13 +65,18 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
   Node& node = nodes_.emplace_back();
   node.parent = parent;
   if (emitters.size() == 1) {
-    node.patch = emitters[0];
-    leaf_of_[node.patch] = at;
-    const Patch& p = set_.patches[node.patch];
+    leaf_of_[emitters[0]] = at;
+    const Patch& p = set_.patches[emitters[0]];
+    node.emission = p.emission;
+    node.group = p.lamp_group;
+    node.first = static_cast<uint32_t>(triangles_.size());
+    node.triangles = p.triangles;
     node.bounds = p.bounds;
     node.normals = coneOf({set_.triangles.data() + p.first_triangle, p.triangles});
-    for (uint32_t t = p.first_triangle; t < p.first_triangle + p.triangles; ++t)
-      cumulative_m2_[t] = node.area_m2 += areaOf(set_.triangles[t]);
+    for (const PatchTriangle& t : std::span(set_.triangles).subspan(p.first_triangle, p.triangles)) {
+      node.area_m2 += areaOf(t);
+      triangles_.push_back({t.a, t.b, t.c, node.area_m2, t.source, caster_.surfaceOffset(t.source), scene_.materials[scene_.triangles[t.source].material].cutout});
+    }
     node.area_m2 = std::max(node.area_m2, 1e-30f);
     node.power = node.area_m2 * luminanceOf(p.emission);
     return at;
@@ -116,7 +120,7 @@ void LampTree::aimsOf(const Receiver& receiver, std::vector<Aim>& aims) const {
     bool small = false;
     const float importance = this->importance(receiver, node, &small);
     if (!(importance > 0)) continue;
-    if (small || node.patch != kNone) {
+    if (small || node.isLeaf()) {
       aims.push_back({at, importance});
     } else {
       open.push_back(node.right);
@@ -127,7 +131,7 @@ void LampTree::aimsOf(const Receiver& receiver, std::vector<Aim>& aims) const {
 
 LampTree::Point LampTree::point(uint32_t node, float u, float v, float w) const {
   uint32_t at = node;
-  while (nodes_[at].patch == kNone) {
+  while (!nodes_[at].isLeaf()) {
     const float left = nodes_[at].left_share;
     if (u < left) {
       u /= left;
@@ -137,11 +141,10 @@ LampTree::Point LampTree::point(uint32_t node, float u, float v, float w) const 
       at = nodes_[at].right;
     }
   }
-  const Patch& p = set_.patches[nodes_[at].patch];
-  const auto first = cumulative_m2_.begin() + p.first_triangle, last = first + p.triangles;
-  const auto found = std::min(std::upper_bound(first, last, std::min(u, 0x1.fffffep-1f) * nodes_[at].area_m2), last - 1);
-  const PatchTriangle& t = set_.triangles[static_cast<size_t>(found - cumulative_m2_.begin())];
-  return {pointInTriangle(t.a, t.b, t.c, v, w), normalized(cross(t.b - t.a, t.c - t.a)), nodes_[at].patch, t.source};
+  const auto first = triangles_.begin() + nodes_[at].first, last = first + nodes_[at].triangles;
+  const float m2 = std::min(u, 0x1.fffffep-1f) * nodes_[at].area_m2;
+  const LampTriangle& t = *std::min(std::upper_bound(first, last, m2, [](float x, const LampTriangle& of) { return x < of.cumulative_m2; }), last - 1);
+  return {pointInTriangle(t.a, t.b, t.c, v, w), normalized(cross(t.b - t.a, t.c - t.a)), at, t.source, t.offset_m, t.cutout};
 }
 
 }  // namespace ff::bake

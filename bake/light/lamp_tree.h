@@ -32,8 +32,8 @@ class LampTree {
     float importance;  // > 0; about the irradiance that it would give unhindered
   };
 
-  // set outlives the tree.
-  explicit LampTree(const PatchSet& set);
+  // Places anywhere look at it, whatever lies between: what it says of lamps is held in memory, some 300 bytes a patch that emits. set outlives the tree.
+  LampTree(const Scene& scene, const PatchSet& set, const RayCaster& caster);
   bool empty() const { return nodes_.empty(); }
   size_t nodes() const { return nodes_.size(); }
   // Replaces `aims` by branches that are small from where the receiver is, and together hold every emitter that could light
@@ -47,15 +47,19 @@ class LampTree {
 
   struct Point {
     Vec3 position, normal;
-    uint32_t patch = 0, triangle = 0;  // of the scene
+    uint32_t leaf = 0, triangle = 0;  // triangle: of the scene
+    float offset_m = 0;               // RayCaster::surfaceOffset()
+    bool cutout = false;              // of its material
   };
   // A point of the branch, emitters by power, points uniformly over their area. u: chooses; v, w: place. All in [0, 1).
   Point point(uint32_t node, float u, float v, float w) const;
-  // How densely point() of a branch falls on a patch in it, 1/m2.
-  double density(uint32_t node, uint32_t patch) const {
-    const Node& leaf = nodes_[leaf_of_[patch]];
-    return static_cast<double>(leaf.power) / static_cast<double>(nodes_[node].power) / static_cast<double>(leaf.area_m2);
+  // How densely point() of a branch falls on the patch of a leaf in it, 1/m2.
+  double density(uint32_t node, uint32_t leaf) const {
+    return static_cast<double>(nodes_[leaf].power) / static_cast<double>(nodes_[node].power) / static_cast<double>(nodes_[leaf].area_m2);
   }
+  // Of a leaf's patch.
+  Vec3 emission(uint32_t leaf) const { return nodes_[leaf].emission; }
+  uint16_t group(uint32_t leaf) const { return nodes_[leaf].group; }
 
  private:
   struct Node {
@@ -64,15 +68,27 @@ class LampTree {
     float power = 0, area_m2 = 0;  // area: of leaves, holes included
     float left_share = 0;          // of the power
     uint32_t parent = kNone, left = 0, right = 0;
-    uint32_t patch = kNone;        // of a leaf
+    uint32_t first = kNone, triangles = 0;  // of a leaf: in triangles_
+    Vec3 emission;                 // of a leaf, as its group
+    uint16_t group = formats::kNoLampGroup;
+    bool isLeaf() const { return first != kNone; }
+  };
+  struct LampTriangle {
+    Vec3 a, b, c;
+    float cumulative_m2;  // within the patch, up to and including this one
+    uint32_t source;      // triangle of the scene
+    float offset_m;
+    bool cutout;
   };
   uint32_t build(std::span<const uint32_t> emitters, uint32_t parent);
   float importance(const Receiver& receiver, const Node& node, bool* small) const;
 
+  const Scene& scene_;
   const PatchSet& set_;
+  const RayCaster& caster_;
   std::vector<Node> nodes_;
-  std::vector<uint32_t> leaf_of_;
-  std::vector<float> cumulative_m2_;  // by triangle of the set, within its patch; of emitters only
+  std::vector<LampTriangle> triangles_;  // by leaf
+  PagedVector<uint32_t> leaf_of_;
 };
 
 }  // namespace ff::bake

@@ -19,7 +19,7 @@ class MadeUpLight {
   bool shines(uint32_t patch, size_t light) const { return lit_[patch] >> light & 1; }
 
  private:
-  std::vector<uint8_t> lit_;  // a bit a light
+  PagedVector<uint8_t> lit_;  // a bit a light
 };
 
 class RowError {

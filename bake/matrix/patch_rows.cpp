@@ -60,10 +60,10 @@ std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> pa
 
 }  // namespace
 
-std::vector<LightValues> poolPatches(const PatchRowSource& source, const Hierarchy& h, PutAside& hits, const std::string& path, uint64_t memory_bytes,
+PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarchy& h, PutAside& hits, const std::string& path, uint64_t memory_bytes,
                                      LevelRows& rows, WorkCount& done, uint64_t& spilled) {
   const std::vector<uint32_t>& tiles = h.tile_start[0];
-  std::vector<LightValues> light(source.patches.size());
+  PagedVector<LightValues> light(source.patches.size());
   {
     Spill spill(path, spareMemory(memory_bytes) / 4);
     HitPool pool(h.number, source.whole_area, source.density, bucketsOf(h, source.patch_of, hits, spareMemory(memory_bytes) / 4), spill);
@@ -102,7 +102,7 @@ std::vector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
     spilled += spill.written();
   }
   giveBackMemory();
-  std::vector<LightValues> bounced(source.patches.size());
+  PagedVector<LightValues> bounced(source.patches.size());
   tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
     const std::vector<NodeRow> of_tile = rows.get(t);
     for (size_t i = 0; i < of_tile.size(); ++i) {

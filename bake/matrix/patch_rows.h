@@ -33,7 +33,7 @@ class PutAside {
   // Of all ranges, the heaviest first; once all are put.
   std::vector<Leak> leaks(float cell_m, size_t most) const;
 
-  std::vector<PatchSight> sight;  // by patch
+  PagedVector<PatchSight> sight;  // by patch
 
  private:
   struct Range {
@@ -42,7 +42,7 @@ class PutAside {
     std::vector<Leak> leaks;
   };
   std::mutex mutex_;
-  std::vector<uint32_t> hits_at_;
+  PagedVector<uint32_t> hits_at_;
   Spill spill_;
   std::vector<Range> ranges_;
 };
@@ -59,7 +59,7 @@ struct PatchRowSource {
 
 // Fills the rows of level 0; returns what its patches reflect once light has bounced twice, by node, as rowFactor() asks for it. memory_bytes: most that the
 // process may hold, or 0: what is free; what does not fit goes to files named after `path`, of which `spilled` grows by the size. done: counts ranges, and tiles twice.
-std::vector<LightValues> poolPatches(const PatchRowSource& source, const Hierarchy& hierarchy, PutAside& hits, const std::string& path, uint64_t memory_bytes,
+PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarchy& hierarchy, PutAside& hits, const std::string& path, uint64_t memory_bytes,
                                      LevelRows& rows, WorkCount& done, uint64_t& spilled);
 
 }  // namespace ff::bake

@@ -26,7 +26,7 @@ struct SortKey {
 };
 
 size_t countClusters(std::span<const Patch> patches, std::span<const uint32_t> group, int level) {
-  std::vector<std::pair<uint64_t, uint32_t>> clusters(patches.size());
+  PagedVector<std::pair<uint64_t, uint32_t>> clusters(patches.size());
   for (size_t i = 0; i < patches.size(); ++i) clusters[i] = {hilbertAncestor(patches[i].key, level), group[i]};
   tbb::parallel_sort(clusters.begin(), clusters.end());
   return static_cast<size_t>(std::unique(clusters.begin(), clusters.end()) - clusters.begin());
@@ -55,7 +55,7 @@ struct Family {
 class TileCutter {
  public:
   // family_log: edge of a family's cell, in cells of the level, as a power of 2. place_of: of a node, by its number in the order of clustering.
-  TileCutter(int family_log, std::function<Place(uint32_t)> place_of, std::vector<uint32_t>& order, std::vector<uint32_t>& tile_start)
+  TileCutter(int family_log, std::function<Place(uint32_t)> place_of, PagedVector<uint32_t>& order, std::vector<uint32_t>& tile_start)
       : family_log_(family_log), place_of_(std::move(place_of)), order_(order), tile_start_(tile_start) {}
 
   // The families below one tile, in any order. Appends their nodes, and where tiles end.
@@ -119,7 +119,7 @@ class TileCutter {
   int family_log_;
   std::function<Place(uint32_t)> place_of_;
   std::vector<Place> places_;
-  std::vector<uint32_t>& order_;
+  PagedVector<uint32_t>& order_;
   std::vector<uint32_t>& tile_start_;
 };
 
@@ -133,7 +133,7 @@ uint32_t openness(double sky_fraction, uint32_t narrow) {
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
                         std::span<const uint8_t> narrow, std::span<const uint8_t> lamp_lit) {
   const auto n = static_cast<uint32_t>(patches.size());
-  std::vector<uint32_t> group(n);
+  PagedVector<uint32_t> group(n);
   for (uint32_t i = 0; i < n; ++i) {
     const uint32_t open = openness(static_cast<double>(sky_fraction[i]), narrow.empty() ? 0 : narrow[i]);
     const uint32_t lamp = patches[i].emits() ? 1u + patches[i].lamp_group : 0u;
@@ -144,21 +144,21 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   size_t count = n;
   while (count > kTopNodes && top + 1 < static_cast<int>(formats::kMaxLevels)) count = countClusters(patches, group, ++top);
 
-  std::vector<SortKey> order(n);
+  PagedVector<SortKey> order(n);
   for (uint32_t i = 0; i < n; ++i) order[i] = {hilbertAncestor(patches[i].key, top), group[i], patches[i].key, i};
   tbb::parallel_sort(order.begin(), order.end());
   // Clusters, in the order of clustering: a node's children are consecutive, as are a cluster's patches.
   struct Level {
-    std::vector<uint32_t> first;   // patch of each node
-    std::vector<uint32_t> parent;  // of each node
-    std::vector<uint32_t> child;   // first one of each node, then the number of nodes below
+    PagedVector<uint32_t> first;   // patch of each node
+    PagedVector<uint32_t> parent;  // of each node
+    PagedVector<uint32_t> child;   // first one of each node, then the number of nodes below
   };
   std::vector<Level> levels(static_cast<size_t>(top) + 1);
   levels[0].first.resize(n);
   std::iota(levels[0].first.begin(), levels[0].first.end(), 0u);
   for (int level = 1; level <= top; ++level) {
     Level &below = levels[static_cast<size_t>(level) - 1], &own = levels[static_cast<size_t>(level)];
-    const std::vector<uint32_t>& first = below.first;
+    const PagedVector<uint32_t>& first = below.first;
     below.parent.resize(first.size());
     uint32_t siblings = 0;
     for (size_t k = 0; k < first.size(); ++k) {
@@ -183,7 +183,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
   h.names.resize(levels.size());
   h.parents.resize(levels.size() - 1);
   h.tile_parents.resize(levels.size() - 1);
-  std::vector<uint32_t> above, now;  // of each node in the final order: its number in the order of clustering
+  PagedVector<uint32_t> above, now;  // of each node in the final order: its number in the order of clustering
   std::vector<Family> families;
   for (int level = top; level >= 0; --level) {
     const auto l = static_cast<size_t>(level);
@@ -206,7 +206,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
       for (uint32_t k = 0; k < h.nodes[l]; ++k) families.push_back(familyOf(k, 1));
       cutter.cut(families);
     } else {
-      const std::vector<uint32_t>& child = levels[l + 1].child;
+      const PagedVector<uint32_t>& child = levels[l + 1].child;
       for (uint32_t t = 0; t + 1 < h.tile_start[l + 1].size(); ++t) {
         families.clear();
         for (uint32_t k = h.tile_start[l + 1][t]; k < h.tile_start[l + 1][t + 1]; ++k)
@@ -214,7 +214,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
         cutter.cut(families);
         h.tile_parents[l].resize(h.tile_start[l].size() - 1, t);
       }
-      std::vector<uint32_t> number(above.size());  // of each node above, in the final order
+      PagedVector<uint32_t> number(above.size());  // of each node above, in the final order
       for (uint32_t k = 0; k < above.size(); ++k) number[above[k]] = k;
       for (const uint32_t k : now) h.parents[l].push_back(number[own.parent[k]]);
     }
@@ -244,8 +244,8 @@ void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradianc
 // A row in the making; of all nodes of the level, all zero between rows.
 struct RowSums {
   explicit RowSums(uint32_t nodes) : exchange(nodes), seen(nodes) {}
-  std::vector<double> exchange;
-  std::vector<uint8_t> seen;
+  PagedVector<double> exchange;
+  PagedVector<uint8_t> seen;
   std::vector<uint32_t> touched;
 };
 
@@ -299,11 +299,12 @@ NodeRow gathered(std::span<const NodeRow* const> children, std::span<const uint3
 
 }  // namespace
 
-std::vector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& h, uint32_t level, LevelRows& own,
+PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& h, uint32_t level, LevelRows& own,
                                         WorkCount& done) {
-  const std::vector<uint32_t>&parents = h.parents[level - 1], &tiles = h.tile_start[level], &child_tiles = h.tile_start[level - 1];
+  const PagedVector<uint32_t>& parents = h.parents[level - 1];
+  const std::vector<uint32_t>&tiles = h.tile_start[level], &child_tiles = h.tile_start[level - 1];
   const std::vector<uint32_t>& tile_parents = h.tile_parents[level - 1];
-  std::vector<LightValues> own_light(h.nodes[level]);
+  PagedVector<LightValues> own_light(h.nodes[level]);
   tbb::enumerable_thread_specific<RowSums> scratch([&] { return RowSums(h.nodes[level]); });
   tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
     std::vector<NodeRow> rows(tiles[t + 1] - tiles[t]);

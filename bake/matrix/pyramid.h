@@ -33,9 +33,9 @@ inline constexpr uint32_t kOpennesses = 5;
 uint32_t openness(double sky_fraction, uint32_t narrow = 0);
 
 struct Hierarchy {
-  std::vector<uint32_t> number;  // of patch p in level 0's order
+  PagedVector<uint32_t> number;  // of patch p in level 0's order
   // parents[l][i]: number of node i's parent at level l + 1. One vector per level but the last.
-  std::vector<std::vector<uint32_t>> parents;
+  std::vector<PagedVector<uint32_t>> parents;
   std::vector<uint32_t> nodes;   // per level
   // tile_start[l]: first node of each tile, then the number of nodes. Siblings never straddle a tile.
   std::vector<std::vector<uint32_t>> tile_start;
@@ -53,7 +53,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
 
 // The level above: a tile's rows from those of its child tiles, on all of TBB's threads. `own` is filled. light: of all nodes of the level below,
 // as rowFactor() asks for it; returns that of this level. done: counts tiles. Memory: of the tiles in work, and 9 bytes a node of the level for each thread.
-std::vector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& hierarchy, uint32_t level, LevelRows& own,
+PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const LightValues> light, const Hierarchy& hierarchy, uint32_t level, LevelRows& own,
                                         WorkCount& done);
 
 }  // namespace ff::bake

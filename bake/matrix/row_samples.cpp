@@ -34,8 +34,8 @@ std::array<Vec3, kSuns> sunsOf(const Scene& scene) {
 
 }  // namespace
 
-std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed) {
-  std::vector<SunLight> light(set.patches.size());
+PagedVector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed) {
+  PagedVector<SunLight> light(set.patches.size());
   const SobolTable sobol(kSunPoints);
   const std::array<Vec3, kSuns> suns = sunsOf(scene);
   tbb::parallel_for(uint32_t{0}, static_cast<uint32_t>(light.size()), [&](uint32_t p) {

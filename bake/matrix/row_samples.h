@@ -24,7 +24,7 @@ inline constexpr size_t kSuns = 5;          // the last is the scene's brightest
 using SunLight = std::array<float, kSuns>;  // on a patch from each, of an open, level patch's skylight
 
 // By patch, from a few points of each, on all of TBB's threads. Positions as the caster has them.
-std::vector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed);
+PagedVector<SunLight> sunOnPatches(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint64_t seed);
 
 // Each of the suns with the sky, the sky, the lamps; W/m2.
 inline constexpr size_t kSky = kSuns, kLamps = kSuns + 1, kLights = kSuns + 2;

@@ -42,6 +42,7 @@ class BakeCache {
   // Removes all files; returns how many bytes.
   static Result<uint64_t> clean(const std::string& folder, formats::StoragePtr storage = formats::posixStorage());
 
+  const std::string& folder() const { return folder_; }  // ends with '/'
   uint64_t bytes() const { return bytes_; }        // of the files that are there
   std::vector<std::string> warnings() const;       // a line each
 

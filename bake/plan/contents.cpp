@@ -111,7 +111,7 @@ void Contents::addPieces() {
   for (const Vec3& p : scene_.positions)
     for (int a = 0; a < 3; ++a) largest = std::max(largest, static_cast<double>(std::abs(p[a])));
   const auto margin = static_cast<float>(std::max(kMarginCells * static_cast<double>(set_.cell_m), kMarginUnits * 0x1p-24 * largest));
-  std::vector<Held> held;
+  PagedVector<Held> held;
   uint32_t number = 0;
   set_.eachPiece([&](uint32_t triangle, const Box& cell_box, const auto& piece, const auto& rims) {
     ByteWriter b;

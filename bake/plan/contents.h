@@ -49,7 +49,7 @@ class Contents {
   const Scene& scene_;
   const PatchSet& set_;
   CubeBox box_;
-  std::vector<uint64_t> material_, triangle_;        // digests
+  PagedVector<uint64_t> material_, triangle_;        // digests
   std::unordered_map<uint32_t, Digest> cube_;        // of those that hold anything
   struct Range {
     uint32_t first, end;

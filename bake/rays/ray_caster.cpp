@@ -2,15 +2,23 @@
 
 #include <embree3/rtcore.h>
 
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_invoke.h>
+#include <tbb/task_arena.h>
+
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <numeric>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "bake/paging.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/rays/triangle_block.h"
 
@@ -28,6 +36,9 @@ constexpr size_t kTogether = RayPacket::kRays;  // that Embree takes at once
 constexpr float kMargin = 1.2e-6f, kReach = 1.25f;
 // Where axes are shorter than that of the longest, they count as so long: directions below 1e-18 are taken for 1e-18.
 constexpr float kShortAxis = 0x1p-10f;
+// What a tree takes of memory for each of its triangles, B, about (towns: 27, in parts 21); triangles of a part, of whose trees kTrees at least fit.
+constexpr double kTreeBytes = 30, kTrees = 8;
+constexpr size_t kLeastPart = size_t{1} << 6, kMostPart = size_t{1} << 15;
 // Rounds distances up: three low bits of Embree's distances to boxes hold something else.
 constexpr float kUp = 1 + 0x1p-19f;
 
@@ -71,26 +82,82 @@ std::vector<uint32_t> byDirection(size_t rays, RayOf rayOf) {
 }  // namespace
 
 struct RayCaster::State {
+  // Triangles that lie near each other.
+  struct Part {
+    const State* state = nullptr;
+    Box box;                              // m; wider by Embree's errors
+    uint32_t first_block = 0, blocks = 0;
+    std::atomic<RTCScene> tree{nullptr};  // over the blocks; null: not built at present
+    std::atomic<uint32_t> users{0};       // threads that may be in it
+    std::atomic<uint64_t> used_at{0};     // State::clock
+    std::mutex building;
+  };
+
   const Scene* scene = nullptr;
   RTCDevice device = nullptr;
-  RTCScene embree = nullptr;
-  std::vector<TriangleBlock> blocks;   // Embree's primitives
-  std::vector<Corners> block_corners;  // kWide a block
-  std::vector<uint8_t> cutout;        // per scene triangle
-  std::vector<float> offsets;         // per scene triangle, m
-  Vec3 largest;                       // coordinates, m
-  std::string error;
+  RTCScene top = nullptr;                   // over the parts, where there are several; else the tree of the only one
+  std::unique_ptr<Part[]> parts;
+  size_t part_count = 0;
+  PagedVector<TriangleBlock> blocks;        // by part
+  PagedVector<Corners> block_corners;       // kWide a block
+  PagedVector<uint8_t> cutout;              // per scene triangle
+  PagedVector<float> offsets;               // per scene triangle, m
+  Vec3 largest;                             // coordinates, m
+
+  uint64_t tree_bytes = kNoLimit;
+  mutable std::atomic<int64_t> held{0};     // by Embree, B
+  mutable std::atomic<uint64_t> clock{0};   // of trees that were built
+  struct Retired {
+    Part* part;
+    RTCScene tree;
+  };
+  mutable std::mutex mutex;                 // of all below
+  mutable std::vector<Retired> retired;     // trees that some thread may still be in
+  mutable std::string error;
+  mutable std::atomic<bool> failed{false};
   bool built = false;
 
   // What Embree could not build, for want of threads, it cannot take down either: it would end the process.
   ~State() {
     if (!built) return;
-    rtcReleaseScene(embree);
+    for (const Retired& r : retired) rtcReleaseScene(r.tree);
+    for (size_t p = 0; p < part_count; ++p)
+      if (const RTCScene tree = parts[p].tree; tree && tree != top) rtcReleaseScene(tree);
+    rtcReleaseScene(top);
     rtcReleaseDevice(device);
   }
 
-  void makeBlocks();
-  void attachBlocks();
+  void begin(const char* embree);
+  void measure();
+  void makeParts();
+  void makeBlocks(Part& part, std::span<RTCBuildPrimitive> primitives);
+  RTCScene makeTree(const Part& part) const;
+  void makeTop();
+  void letGo() const;
+  RTCScene treeOf(Part& part) const;
+  void checkTrees() const {
+    if (failed.load(std::memory_order_relaxed)) {
+      const std::lock_guard lock(mutex);
+      throw std::runtime_error("Embree: " + error);
+    }
+  }
+
+  // A part whose tree stays while this lives.
+  class Visit {
+   public:
+    explicit Visit(Part& part) : part_(part) {
+      ++part_.users;
+      tree_ = part.state->treeOf(part);
+    }
+    ~Visit() { --part_.users; }
+    Visit(const Visit&) = delete;
+    Visit& operator=(const Visit&) = delete;
+    RTCScene tree() const { return tree_; }  // null: it could not be built
+
+   private:
+    Part& part_;
+    RTCScene tree_;
+  };
 
   // Whether a ray is stopped where it meets a triangle, on its front or back; facing: by surfaces only that face it.
   bool stops(uint32_t triangle, const TriangleHit& hit, bool front, bool facing, bool holes) const {
@@ -218,8 +285,9 @@ struct RayCaster::State {
     RTCRayHit ray;
     cast.put(reinterpret_cast<RTCRayN*>(&ray.ray), 1, 0);
     ray.hit.geomID = ray.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    if (any) rtcOccluded1(embree, &together.embree, &ray.ray);
-    else rtcIntersect1(embree, &together.embree, &ray);
+    if (any) rtcOccluded1(top, &together.embree, &ray.ray);
+    else rtcIntersect1(top, &together.embree, &ray);
+    checkTrees();
   }
 
   // Up to kTogether that go about the same way.
@@ -235,8 +303,9 @@ struct RayCaster::State {
       rays.hit.geomID[i] = rays.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
       together.error[i] = originError(casts[i].ray.origin);
     }
-    if (any) rtcOccluded16(valid.data(), embree, &together.embree, &rays.ray);
-    else rtcIntersect16(valid.data(), embree, &together.embree, &rays);
+    if (any) rtcOccluded16(valid.data(), top, &together.embree, &rays.ray);
+    else rtcIntersect16(valid.data(), top, &together.embree, &rays);
+    checkTrees();
     for (Cast& cast : casts)
       if (cast.way_m > 0) find(cast, any);
   }
@@ -256,18 +325,119 @@ struct RayCaster::State {
   }
 };
 
-// Embree's builder says which triangles go together best.
-void RayCaster::State::makeBlocks() {
-  std::vector<RTCBuildPrimitive> primitives;
+void RayCaster::State::begin(const char* embree) {
+  device = rtcNewDevice(embree);
+  if (!device) return;
+  rtcSetDeviceErrorFunction(
+      device,
+      [](void* user, RTCError, const char* text) {
+        auto& state = *static_cast<State*>(user);
+        const std::lock_guard lock(state.mutex);
+        state.error = text ? text : "unknown";
+        state.failed = true;
+      },
+      this);
+  rtcSetDeviceMemoryMonitorFunction(
+      device,
+      [](void* user, ssize_t bytes, bool) {
+        static_cast<State*>(user)->held += bytes;
+        return true;
+      },
+      this);
+}
+
+void RayCaster::State::measure() {
+  cutout.reserve(scene->triangles.size());
+  offsets.reserve(scene->triangles.size());
+  for (uint32_t t = 0; t < scene->triangles.size(); ++t) {
+    cutout.push_back(scene->materials[scene->triangles[t].material].cutout);
+    offsets.push_back(3e-6f * largestCoordinate(*scene, t));
+    for (const Vec3 v : cornersOf(*scene, t))
+      for (int axis = 0; axis < 3; ++axis) largest[axis] = std::max(largest[axis], std::abs(v[axis]));
+  }
+  const float least = kShortAxis * std::max({largest.x, largest.y, largest.z});
+  largest = max(largest, {least, least, least});
+}
+
+namespace {
+
+Vec3 middleOf(const RTCBuildPrimitive& p) { return {p.lower_x + p.upper_x, p.lower_y + p.upper_y, p.lower_z + p.upper_z}; }  // twice as far out
+
+// Cuts triangles in halves along the longest side of the box of their middles until there are few enough. parts: appended.
+void halve(std::span<RTCBuildPrimitive> triangles, size_t most, std::vector<std::span<RTCBuildPrimitive>>& parts) {
+  if (triangles.size() <= most) {
+    parts.push_back(triangles);
+    return;
+  }
+  Box box;
+  for (const RTCBuildPrimitive& p : triangles) box.add(middleOf(p));
+  const Vec3 size = box.hi - box.lo;
+  const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+  const auto middle = triangles.begin() + static_cast<ptrdiff_t>(triangles.size() / 2);
+  std::nth_element(triangles.begin(), middle, triangles.end(), [&](const RTCBuildPrimitive& a, const RTCBuildPrimitive& b) {
+    const float x = middleOf(a)[axis], y = middleOf(b)[axis];
+    return x < y || (x == y && a.primID < b.primID);
+  });
+  std::vector<std::span<RTCBuildPrimitive>> second;
+  tbb::parallel_invoke([&] { halve(triangles.first(triangles.size() / 2), most, parts); }, [&] { halve(triangles.subspan(triangles.size() / 2), most, second); });
+  parts.insert(parts.end(), second.begin(), second.end());
+}
+
+// The same, what is larger than its part would be apart from it: it would make the box of one large part of all of them.
+std::vector<std::span<RTCBuildPrimitive>> partsOf(std::span<RTCBuildPrimitive> triangles, size_t most) {
+  std::vector<std::span<RTCBuildPrimitive>> parts;
+  if (triangles.size() <= most) return {triangles};
+  Box box;
+  for (const RTCBuildPrimitive& p : triangles) box.add(middleOf(p) * 0.5f);
+  const Vec3 size = box.hi - box.lo;
+  const float broad = std::max({size.x, size.y, size.z}) / std::sqrt(static_cast<float>(triangles.size()) / static_cast<float>(most));
+  const auto large = std::partition(triangles.begin(), triangles.end(), [&](const RTCBuildPrimitive& p) {
+    return std::max({p.upper_x - p.lower_x, p.upper_y - p.lower_y, p.upper_z - p.lower_z}) <= broad;
+  });
+  const auto small = static_cast<size_t>(large - triangles.begin());
+  if (small > 0) halve(triangles.first(small), most, parts);
+  if (small < triangles.size()) halve(triangles.subspan(small), most, parts);
+  return parts;
+}
+
+}  // namespace
+
+// Parts, and their blocks.
+void RayCaster::State::makeParts() {
+  PagedVector<RTCBuildPrimitive> primitives;
   primitives.reserve(scene->triangles.size());
   for (uint32_t t = 0; t < scene->triangles.size(); ++t) {
     const Box box = boxOf(cornersOf(*scene, t));
     primitives.push_back({box.lo.x, box.lo.y, box.lo.z, 0, box.hi.x, box.hi.y, box.hi.z, t});
   }
+  const bool whole = static_cast<double>(primitives.size()) * kTreeBytes <= static_cast<double>(tree_bytes);
+  const auto of_parts = partsOf(primitives, whole ? primitives.size() : std::clamp(static_cast<size_t>(static_cast<double>(tree_bytes) / (kTrees * kTreeBytes)), kLeastPart, kMostPart));
+  part_count = of_parts.size();
+  parts = std::make_unique<Part[]>(part_count);
+  if (part_count > 1) {
+    blocks.reserve(primitives.size() / 3 + 1);
+    block_corners.reserve(blocks.capacity() * kWide);
+  }
+  tbb::parallel_for(size_t{0}, part_count, [&](size_t p) {
+    parts[p].state = this;
+    for (const RTCBuildPrimitive& own : of_parts[p]) {
+      parts[p].box.add(Vec3{own.lower_x, own.lower_y, own.lower_z});
+      parts[p].box.add(Vec3{own.upper_x, own.upper_y, own.upper_z});
+    }
+    if (!of_parts[p].empty()) makeBlocks(parts[p], of_parts[p]);
+  });
+}
+
+// Embree's builder says which triangles go together best.
+void RayCaster::State::makeBlocks(Part& part, std::span<RTCBuildPrimitive> primitives) {
   struct Leaves {
+    const Scene& scene;
     std::mutex mutex;
-    State& state;
-  } leaves{{}, *this};
+    PagedVector<TriangleBlock> blocks;
+    PagedVector<Corners> corners;
+  } leaves{*scene, {}, {}, {}};
+  leaves.blocks.reserve(primitives.size() / 3 + 1);
+  leaves.corners.reserve(leaves.blocks.capacity() * kWide);
   RTCBVH bvh = rtcNewBVH(device);
   RTCBuildArguments args = rtcDefaultBuildArguments();
   args.byteSize = sizeof args;
@@ -288,71 +458,154 @@ void RayCaster::State::makeBlocks() {
     TriangleBlock block;
     std::array<Corners, kWide> corners{};
     for (size_t i = 0; i < count; ++i) {
-      corners[i] = cornersOf(*to.state.scene, primitive[i].primID);
+      corners[i] = cornersOf(to.scene, primitive[i].primID);
       block.set(i, primitive[i].primID, corners[i]);
     }
     for (size_t i = count; i < kWide; ++i) block.clear(i);
     const std::lock_guard lock(to.mutex);
-    to.state.blocks.push_back(block);
-    to.state.block_corners.insert(to.state.block_corners.end(), corners.begin(), corners.end());
+    to.blocks.push_back(block);
+    to.corners.insert(to.corners.end(), corners.begin(), corners.end());
     return user;
   };
-  rtcBuildBVH(&args);
+  tbb::this_task_arena::isolate([&] { rtcBuildBVH(&args); });
   rtcReleaseBVH(bvh);
+  const std::lock_guard lock(mutex);
+  part.first_block = static_cast<uint32_t>(blocks.size());
+  part.blocks = static_cast<uint32_t>(leaves.blocks.size());
+  if (part_count == 1) {
+    blocks.swap(leaves.blocks);
+    block_corners.swap(leaves.corners);
+  } else {
+    blocks.insert(blocks.end(), leaves.blocks.begin(), leaves.blocks.end());
+    block_corners.insert(block_corners.end(), leaves.corners.begin(), leaves.corners.end());
+  }
 }
 
-void RayCaster::State::attachBlocks() {
+RTCScene RayCaster::State::makeTree(const Part& part) const {
+  const RTCScene tree = rtcNewScene(device);
+  if (part_count > 1) rtcSetSceneFlags(tree, RTC_SCENE_FLAG_COMPACT);
   RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_USER);
-  rtcSetGeometryUserPrimitiveCount(geometry, static_cast<unsigned>(blocks.size()));
-  rtcSetGeometryUserData(geometry, this);
+  rtcSetGeometryUserPrimitiveCount(geometry, part.blocks);
+  rtcSetGeometryUserData(geometry, const_cast<Part*>(&part));
   rtcSetGeometryBoundsFunction(
       geometry,
       [](const RTCBoundsFunctionArguments* args) {
-        const auto& state = *static_cast<const State*>(args->geometryUserPtr);
+        const auto& own = *static_cast<const Part*>(args->geometryUserPtr);
+        const State& state = *own.state;
+        const size_t number = own.first_block + args->primID;
         Box box;
         for (size_t i = 0; i < kWide; ++i)
-          if (state.blocks[args->primID].triangle[i] != kNone) box.add(boxOf(state.block_corners[kWide * args->primID + i]));
+          if (state.blocks[number].triangle[i] != kNone) box.add(boxOf(state.block_corners[kWide * number + i]));
         const Vec3 lo = box.lo - state.largest * kMargin, hi = box.hi + state.largest * kMargin;
         *args->bounds_o = {lo.x, lo.y, lo.z, 0, hi.x, hi.y, hi.z, 0};
       },
       nullptr);
   rtcSetGeometryIntersectFunction(geometry, [](const RTCIntersectFunctionNArguments* args) {
     RTCRayN* rays = RTCRayHitN_RayN(args->rayhit, args->N);
-    Together::of(args->context).meetBlock(rays, args->N, args->valid, args->primID, [&](unsigned i, const Cast& cast) { RTCRayN_tfar(rays, args->N, i) = cast.upTo(); });
+    const unsigned number = static_cast<const Part*>(args->geometryUserPtr)->first_block + args->primID;
+    Together::of(args->context).meetBlock(rays, args->N, args->valid, number, [&](unsigned i, const Cast& cast) { RTCRayN_tfar(rays, args->N, i) = cast.upTo(); });
   });
   rtcSetGeometryOccludedFunction(geometry, [](const RTCOccludedFunctionNArguments* args) {
-    Together::of(args->context).meetBlock(args->ray, args->N, args->valid, args->primID, [&](unsigned i, const Cast&) { RTCRayN_tfar(args->ray, args->N, i) = -kInfinity; });
+    const unsigned number = static_cast<const Part*>(args->geometryUserPtr)->first_block + args->primID;
+    Together::of(args->context).meetBlock(args->ray, args->N, args->valid, number, [&](unsigned i, const Cast&) { RTCRayN_tfar(args->ray, args->N, i) = -kInfinity; });
   });
   rtcCommitGeometry(geometry);
-  rtcAttachGeometry(embree, geometry);
+  rtcAttachGeometry(tree, geometry);
   rtcReleaseGeometry(geometry);
-  rtcCommitScene(embree);
+  rtcCommitScene(tree);
+  return tree;
 }
 
-Result<RayCaster> RayCaster::create(const Scene& scene, const char* embree) {
+// Over the parts: a ray goes on in the trees of those that it comes through.
+void RayCaster::State::makeTop() {
+  if (part_count == 1) {
+    top = makeTree(parts[0]);
+    parts[0].tree = top;
+    return;
+  }
+  top = rtcNewScene(device);
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_USER);
+  rtcSetGeometryUserPrimitiveCount(geometry, static_cast<unsigned>(part_count));
+  rtcSetGeometryUserData(geometry, parts.get());
+  rtcSetGeometryBoundsFunction(
+      geometry,
+      [](const RTCBoundsFunctionArguments* args) {
+        const Part& part = static_cast<const Part*>(args->geometryUserPtr)[args->primID];
+        const Vec3 lo = part.box.lo - part.state->largest * kMargin, hi = part.box.hi + part.state->largest * kMargin;
+        *args->bounds_o = {lo.x, lo.y, lo.z, 0, hi.x, hi.y, hi.z, 0};
+      },
+      nullptr);
+  rtcSetGeometryIntersectFunction(geometry, [](const RTCIntersectFunctionNArguments* args) {
+    const Visit visit(static_cast<Part*>(args->geometryUserPtr)[args->primID]);
+    if (!visit.tree()) return;
+    switch (args->N) {
+      case 1: return rtcIntersect1(visit.tree(), args->context, reinterpret_cast<RTCRayHit*>(args->rayhit));
+      case 4: return rtcIntersect4(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRayHit4*>(args->rayhit));
+      case 8: return rtcIntersect8(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRayHit8*>(args->rayhit));
+      default: return rtcIntersect16(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRayHit16*>(args->rayhit));
+    }
+  });
+  rtcSetGeometryOccludedFunction(geometry, [](const RTCOccludedFunctionNArguments* args) {
+    const Visit visit(static_cast<Part*>(args->geometryUserPtr)[args->primID]);
+    if (!visit.tree()) return;
+    switch (args->N) {
+      case 1: return rtcOccluded1(visit.tree(), args->context, reinterpret_cast<RTCRay*>(args->ray));
+      case 4: return rtcOccluded4(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay4*>(args->ray));
+      case 8: return rtcOccluded8(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay8*>(args->ray));
+      default: return rtcOccluded16(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay16*>(args->ray));
+    }
+  });
+  rtcCommitGeometry(geometry);
+  rtcAttachGeometry(top, geometry);
+  rtcReleaseGeometry(geometry);
+  rtcCommitScene(top);
+}
+
+RTCScene RayCaster::State::treeOf(Part& part) const {
+  RTCScene tree = part.tree;
+  if (!tree) {
+    const std::lock_guard lock(part.building);
+    tree = part.tree;
+    if (!tree && !failed) {
+      tbb::this_task_arena::isolate([&] { tree = makeTree(part); });  // whoever waits for it may not begin what waits for this lock
+      part.used_at = ++clock;
+      part.tree = tree;
+      letGo();
+    }
+  }
+  part.used_at.store(clock.load(std::memory_order_relaxed), std::memory_order_relaxed);
+  return tree;
+}
+
+// Trees that were used longest ago, while there is too much. Nobody is in a tree that was retired once its part had no user since.
+void RayCaster::State::letGo() const {
+  const std::lock_guard lock(mutex);
+  std::erase_if(retired, [](const Retired& r) {
+    if (r.part->users != 0) return false;
+    rtcReleaseScene(r.tree);
+    return true;
+  });
+  while (held > static_cast<int64_t>(tree_bytes)) {
+    Part* oldest = nullptr;
+    for (size_t p = 0; p < part_count; ++p)
+      if (parts[p].tree.load() && parts[p].users == 0 && (!oldest || parts[p].used_at < oldest->used_at)) oldest = &parts[p];
+    if (!oldest) return;
+    const RTCScene tree = oldest->tree.exchange(nullptr);
+    if (oldest->users == 0) rtcReleaseScene(tree);
+    else retired.push_back({oldest, tree});
+  }
+}
+
+Result<RayCaster> RayCaster::create(const Scene& scene, uint64_t tree_bytes, const char* embree) {
   auto state = std::make_shared<State>();
   state->scene = &scene;
-  state->device = rtcNewDevice(embree);
+  state->tree_bytes = tree_bytes;
+  state->begin(embree);
   if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
-  rtcSetDeviceErrorFunction(
-      state->device,
-      [](void* user, RTCError, const char* text) { static_cast<State*>(user)->error = text ? text : "unknown"; },
-      state.get());
-  state->embree = rtcNewScene(state->device);
-  state->cutout.reserve(scene.triangles.size());
-  state->offsets.reserve(scene.triangles.size());
-  for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
-    const auto [a, b, c] = cornersOf(scene, t);
-    state->cutout.push_back(scene.materials[scene.triangles[t].material].cutout);
-    state->offsets.push_back(3e-6f * largestCoordinate(scene, t));
-    for (const Vec3 v : {a, b, c})
-      for (int axis = 0; axis < 3; ++axis) state->largest[axis] = std::max(state->largest[axis], std::abs(v[axis]));
-  }
-  const float least = kShortAxis * std::max({state->largest.x, state->largest.y, state->largest.z});
-  state->largest = max(state->largest, {least, least, least});
-  if (!scene.triangles.empty()) state->makeBlocks();
-  if (state->error.empty()) state->attachBlocks();
-  if (!state->error.empty()) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
+  state->measure();
+  state->makeParts();
+  if (!state->failed) state->makeTop();
+  if (state->failed) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
   state->built = true;
   return RayCaster(std::move(state), nullptr, true);
 }
@@ -415,22 +668,30 @@ void RayCaster::near(Vec3 point, float distance_m, std::vector<uint32_t>& triang
     Vec3 point;
     float distance_m;
     std::vector<uint32_t>& triangles;
-  } answer{*state_, point, distance_m, triangles};
+    const State::Part* part;
+  } answer{*state_, point, distance_m, triangles, &state_->parts[0]};
   triangles.clear();
   RTCPointQuery query{point.x, point.y, point.z, 0, distance_m * kUp};
   RTCPointQueryContext context;
   rtcInitPointQueryContext(&context);
-  rtcPointQuery(
-      state_->embree, &query, &context,
-      [](RTCPointQueryFunctionArguments* args) {
-        auto& to = *static_cast<Answer*>(args->userPtr);
-        for (size_t i = 0; i < kWide; ++i) {
-          const uint32_t t = to.state.blocks[args->primID].triangle[i];
-          if (t != kNone && boxOf(to.state.block_corners[kWide * args->primID + i]).distance(to.point) <= to.distance_m) to.triangles.push_back(t);
-        }
-        return false;  // the distance stays
-      },
-      &answer);
+  static constexpr auto inPart = [](RTCPointQueryFunctionArguments* args) {
+    auto& to = *static_cast<Answer*>(args->userPtr);
+    const size_t number = to.part->first_block + args->primID;
+    for (size_t i = 0; i < kWide; ++i) {
+      const uint32_t t = to.state.blocks[number].triangle[i];
+      if (t != kNone && boxOf(to.state.block_corners[kWide * number + i]).distance(to.point) <= to.distance_m) to.triangles.push_back(t);
+    }
+    return false;  // the distance stays
+  };
+  static constexpr auto inParts = [](RTCPointQueryFunctionArguments* args) {
+    auto& to = *static_cast<Answer*>(args->userPtr);
+    const State::Visit visit(to.state.parts[args->primID]);
+    to.part = &to.state.parts[args->primID];
+    if (visit.tree()) rtcPointQuery(visit.tree(), args->query, args->context, inPart, &to);
+    return false;
+  };
+  rtcPointQuery(state_->top, &query, &context, state_->part_count > 1 ? +inParts : +inPart, &answer);
+  state_->checkTrees();
   std::sort(triangles.begin(), triangles.end());
 }
 

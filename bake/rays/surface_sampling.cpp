@@ -4,6 +4,7 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <span>
 #include <numbers>
 
 #include "bake/rays/sobol.h"
@@ -37,13 +38,13 @@ Texel texel(const Image& image, Vec2 uv, bool repeat) {
           static_cast<float>(image.rgba[at + 3]) / 255.0f};
 }
 
-Vec2 interpolate(const std::vector<Vec2>& uv, const Triangle& t, float b, float c) {
+Vec2 interpolate(std::span<const Vec2> uv, const Triangle& t, float b, float c) {
   const Vec2 p = uv[t.v[0]], q = uv[t.v[1]], r = uv[t.v[2]];
   const float a = 1 - b - c;
   return {a * p.x + b * q.x + c * r.x, a * p.y + b * q.y + c * r.y};
 }
 
-Rgba interpolate(const std::vector<Rgba>& colors, const Triangle& t, float b, float c) {
+Rgba interpolate(std::span<const Rgba> colors, const Triangle& t, float b, float c) {
   const Rgba p = colors[t.v[0]], q = colors[t.v[1]], r = colors[t.v[2]];
   const float a = 1 - b - c;
   return {a * p.r + b * q.r + c * r.r, a * p.g + b * q.g + c * r.g, a * p.b + b * q.b + c * r.b, a * p.a + b * q.a + c * r.a};
@@ -115,7 +116,7 @@ float SurfaceMean::add(const Scene& scene, uint32_t t, Vec3 p, Vec3 q, Vec3 r, f
   const bool tinted = !scene.colors.empty();
   // A point a texel, or one in all: the mean of what is linear is its value in the middle.
   const double share = static_cast<double>(area_m2) / std::max(1e-20, static_cast<double>(triangleArea(scene, t)));
-  const auto texels = [&](const std::vector<Vec2>& uv, uint32_t image) {
+  const auto texels = [&](std::span<const Vec2> uv, uint32_t image) {
     const Vec2 a = uv[tri.v[0]], b = uv[tri.v[1]], c = uv[tri.v[2]];
     const double uv_area = 0.5 * std::abs(static_cast<double>((b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)));
     return uv_area * static_cast<double>(scene.images[image].width) * static_cast<double>(scene.images[image].height) * share;

@@ -53,7 +53,7 @@ class PackedExtent {
 
 class Labeller {
  public:
-  Labeller(std::span<const Piece> pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed,
+  Labeller(const PieceList& pieces, std::span<const Side> sides, double crumb, const Fences* fences, const SealedSurface* sealed,
            WorkCount* done)
       : pieces_(pieces), sides_(sides), crumb_(crumb), fences_(fences), sealed_(sealed), done_(done), root_(sides.size()),
         kind_(sides.size(), Kind::kNone), parted_(sides.size(), 0), area_(sides.size(), 0), centre_(sides.size()), extent_(sides.size()) {}
@@ -71,9 +71,9 @@ class Labeller {
       judge(i);
       if (done_) done_->add();
     });
-    std::vector<uint32_t> host(sides_.size(), kNobody);
+    PagedVector<uint32_t> host(sides_.size(), kNobody);
     for (int step = 0; step < kSteps; ++step) {
-      const std::vector<uint32_t> before = host;
+      const PagedVector<uint32_t> before = host;
       const Hosts hosts = listHosts(before, step == 0);
       tbb::parallel_for(size_t{0}, places, [&](size_t g) {
         for (size_t i = place_start_[g]; i < place_start_[g + 1]; ++i)
@@ -87,7 +87,7 @@ class Labeller {
       if (kind_[i] == Kind::kWhole) whole_.push_back(i);
     tbb::parallel_for(size_t{0}, places, [&](size_t g) { placeCrumbs(place_start_[g], place_start_[g + 1], host); });
     Labels labels;
-    std::vector<uint32_t> patch(sides_.size(), kSealed);  // per root
+    PagedVector<uint32_t> patch(sides_.size(), kSealed);  // per root
     for (size_t g = 0; g < places; ++g) number(place_start_[g], place_start_[g + 1], host, patch, labels.home);
     for (size_t i = 0; i < sides_.size(); ++i)
       if (host[i] != kNobody) patch[i] = patch[host[i]];
@@ -208,13 +208,13 @@ class Labeller {
   // The sides that crumbs may join, by place, and boxes around kRun of them at a time: crumbs look for hosts in crowded places.
   struct Hosts {
     static constexpr uint32_t kRun = 16;
-    std::vector<uint32_t> side, first;     // first: of each place
-    std::vector<PackedExtent> run;
-    std::vector<uint32_t> first_run;       // of each place
+    PagedVector<uint32_t> side, first;     // first: of each place
+    PagedVector<PackedExtent> run;
+    PagedVector<uint32_t> first_run;       // of each place
   };
 
   // Sides of components that are no crumbs; after the first step, of crumbs that have found one by then: what the others are open to, they have found.
-  Hosts listHosts(const std::vector<uint32_t>& host, bool first_step) const {
+  Hosts listHosts(const PagedVector<uint32_t>& host, bool first_step) const {
     const auto isHost = [&](size_t i) { return first_step ? kind_[root_[i]] == Kind::kWhole : host[root_[i]] != kNobody; };
     Hosts hosts;
     size_t sides = 0;
@@ -244,11 +244,11 @@ class Labeller {
 
   // The component, not a crumb, that a crumb of a place shares most open border with, mostly in the next cell, or crumbs with such a host do; kNobody:
   // none.
-  uint32_t goesOnIn(size_t crumb, size_t place, const std::vector<uint32_t>& host, const Hosts& all) const {
+  uint32_t goesOnIn(size_t crumb, size_t place, const PagedVector<uint32_t>& host, const Hosts& all) const {
     std::vector<std::pair<uint32_t, double>> hosts;
     FoundPlace found{piece(crumb).cell, place};
     for (const uint32_t i : members_.of(crumb)) {
-      const Polygon& polygon = piece(i).polygon;
+      const PolygonView polygon = piece(i).polygon;
       const Point area = vectorArea(polygon);
       if (!(length(area) > 0)) continue;
       const Point normal = area * (1 / length(area));
@@ -288,11 +288,11 @@ class Labeller {
     return at == end || sides_[*at].place() != side.place() ? FoundPlace::kNoPlace : static_cast<size_t>(at - place_start_.begin());
   }
 
-  void addHosts(uint32_t crumb_side, size_t border, const FoundPlace& in, const std::vector<uint32_t>& host, const Hosts& all,
+  void addHosts(uint32_t crumb_side, size_t border, const FoundPlace& in, const PagedVector<uint32_t>& host, const Hosts& all,
                 std::vector<std::pair<uint32_t, double>>& hosts) const {
     const uint32_t end = all.first[in.place + 1];
     if (all.first[in.place] == end) return;
-    const Polygon& polygon = piece(crumb_side).polygon;
+    const PolygonView polygon = piece(crumb_side).polygon;
     const PackedExtent line(std::array{polygon[border], polygon[(border + 1) % polygon.size()]}, in.cell, piece(crumb_side).fineness);
     std::vector<SharedBorder> borders;
     size_t run = all.first_run[in.place];
@@ -318,8 +318,8 @@ class Labeller {
     }
   }
 
-  bool isLoose(size_t root, const std::vector<uint32_t>& host) const { return kind_[root] == Kind::kCrumb && host[root] == kNobody; }
-  bool isOwn(size_t root, const std::vector<uint32_t>& host) const {
+  bool isLoose(size_t root, const PagedVector<uint32_t>& host) const { return kind_[root] == Kind::kCrumb && host[root] == kNobody; }
+  bool isOwn(size_t root, const PagedVector<uint32_t>& host) const {
     return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumbOf(root));
   }
 
@@ -353,7 +353,7 @@ class Labeller {
   // Finds hosts for crumbs of a place: what has a patch of its own there; for crumbs that see none, and for those that would make a patch too small to
   // be of use, what has one in the same base cell or, if they see nothing there, the cells around it. Here alone surface of one grid may join a patch of
   // another. Crumbs stay without where there is none: they are a patch together.
-  void placeCrumbs(size_t begin, size_t end, std::vector<uint32_t>& host) const {
+  void placeCrumbs(size_t begin, size_t end, PagedVector<uint32_t>& host) const {
     double area = 0;
     std::vector<uint32_t> own, loose;
     for (size_t i = begin; i < end; ++i) {
@@ -394,7 +394,7 @@ class Labeller {
   }
 
   // Numbers the patches of one place.
-  void number(size_t begin, size_t end, const std::vector<uint32_t>& host, std::vector<uint32_t>& patch, std::vector<uint32_t>& home) const {
+  void number(size_t begin, size_t end, const PagedVector<uint32_t>& host, PagedVector<uint32_t>& patch, PagedVector<uint32_t>& home) const {
     const size_t before = home.size();
     for (size_t i = begin; i < end; ++i) {
       if (!isOwn(i, host)) continue;
@@ -409,26 +409,26 @@ class Labeller {
     }
   }
 
-  const std::span<const Piece> pieces_;
+  const PieceList& pieces_;
   const std::span<const Side> sides_;
   const double crumb_;  // of a cell's face
   const Fences* const fences_;
   const SealedSurface* const sealed_;
   WorkCount* const done_;
-  std::vector<size_t> place_start_;
-  std::vector<uint32_t> root_;           // per side: the first side of its component
-  std::vector<Kind> kind_;               // per root, as all below
-  std::vector<uint8_t> parted_;          // a fence stands between it and a neighbour
-  std::vector<double> area_;
-  std::vector<Point> centre_;
-  std::vector<PackedExtent> extent_;      // per side
+  PagedVector<size_t> place_start_;
+  PagedVector<uint32_t> root_;           // per side: the first side of its component
+  PagedVector<Kind> kind_;               // per root, as all below
+  PagedVector<uint8_t> parted_;          // a fence stands between it and a neighbour
+  PagedVector<double> area_;
+  PagedVector<Point> centre_;
+  PagedVector<PackedExtent> extent_;      // per side
   Grouped members_;                       // sides by component
-  std::vector<uint32_t> whole_;           // roots with a patch of their own, by place
+  PagedVector<uint32_t> whole_;           // roots with a patch of their own, by place
 };
 
 }  // namespace
 
-Labels labelSides(std::span<const Piece> pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
+Labels labelSides(const PieceList& pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
                   const SealedSurface* sealed, WorkCount* done) {
   return Labeller(pieces, sides, crumb_fraction, fences, sealed, done).label();
 }

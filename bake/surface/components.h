@@ -5,6 +5,7 @@
 #include <tuple>
 #include <vector>
 
+#include "bake/paging.h"
 #include "bake/surface/fences.h"
 #include "bake/surface/sealed.h"
 #include "bake/work_count.h"
@@ -27,9 +28,9 @@ struct Side {
 };
 
 struct Labels {
-  std::vector<uint32_t> patch_of;  // per side; kSealed: it has none
-  std::vector<uint32_t> home;      // per patch: a side in its cell
-  std::vector<uint8_t> doublings;  // per patch: how often its cell is doubled, by merging.h; empty: none is
+  PagedVector<uint32_t> patch_of;  // per side; kSealed: it has none
+  PagedVector<uint32_t> home;      // per patch: a side in its cell
+  PagedVector<uint8_t> doublings;  // per patch: how often its cell is doubled, by merging.h; empty: none is
 };
 
 inline constexpr uint32_t kSealed = 0xfffffffe;
@@ -38,7 +39,7 @@ inline constexpr uint32_t kSealed = 0xfffffffe;
 // crumb_fraction of its cell's face is a crumb: it joins what its surface goes on in across the border of its cell; else the nearest
 // patch of its place, unless a fence parts them and it is not small; near a fence, one that it sees, there or nearby; crumbs that come to
 // next to nothing, any patch nearby. done: counts sides, if not null. sides: sorted. fences, sealed: null where nothing is parted, nothing sealed.
-Labels labelSides(std::span<const Piece> pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
+Labels labelSides(const PieceList& pieces, std::span<const Side> sides, double crumb_fraction, const Fences* fences,
                   const SealedSurface* sealed, WorkCount* done = nullptr);
 
 }  // namespace ff::bake

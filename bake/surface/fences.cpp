@@ -52,7 +52,7 @@ bool fenceOf(const Plane& plane, const std::array<Point, 3>& corners, double hai
 
 // Only what reaches from border to border, or is part of a ring, parts a polygon: whatever has fewer than two contacts goes,
 // and so does what it held.
-void dropDangling(const Polygon& polygon, double gap, std::vector<Segment>& fences) {
+void dropDangling(PolygonView polygon, double gap, std::vector<Segment>& fences) {
   const size_t n = fences.size();
   std::vector<std::vector<uint32_t>> touching(n);
   std::vector<size_t> contacts(n, 0);
@@ -193,10 +193,11 @@ Fences::Found Fences::find(const Piece& piece) const {
   return found;
 }
 
-void Fences::cut(Piece piece, std::vector<Piece>& out) const {
-  const Found found = find(piece);
+void Fences::cut(const Piece& whole, PieceList& out) const {
+  const Found found = find(whole);
+  Piece piece = whole;
   std::copy_n(found.fenced, 2, piece.fenced);
-  std::vector<PolygonPart> parts{{piece.polygon}};
+  std::vector<PolygonPart> parts{{Polygon(piece.polygon.begin(), piece.polygon.end())}};
   if (!found.fences.empty()) {
     const Point normal = normalOf(piece.triangle);
     for (const Segment& fence : found.fences) cutAlong(fence, normal, kHairsOffBorder * hairOf(piece.triangle), parts);
@@ -233,8 +234,8 @@ void Fences::cut(Piece piece, std::vector<Piece>& out) const {
   for (size_t i = 0; i < parts.size(); ++i) {
     if (parts[i].cut || parts[i].polygon.empty()) continue;
     Piece part = leaves[leaf_of[i]];
-    part.polygon = std::move(parts[i].polygon);
-    out.push_back(std::move(part));
+    part.polygon = parts[i].polygon;
+    out.add(part);
   }
 }
 
@@ -257,7 +258,7 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
   };
   const double hair = std::max(hairOf(a.piece->triangle), hairOf(b.piece->triangle));
   const auto rim = [&](PieceSide s, size_t side) {
-    const Polygon& p = s.piece->polygon;
+    const PolygonView p = s.piece->polygon;
     const Point normal = normalOf(s.piece->triangle), edge = p[(side + 1) % p.size()] - p[side];
     const Point along = edge * (1 / length(edge));
     return Rim{p[side], along, cross(normal, along) * (hair / 2) + normal * (s.back ? -hair : hair)};

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "bake/paging.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/scene.h"
 #include "bake/surface/hilbert.h"
@@ -16,13 +17,39 @@
 namespace ff::bake {
 
 struct Piece {
-  Cell cell;          // of the triangle's own grid (fineness.h)
-  uint32_t triangle;  // of the scene
+  Cell cell;            // of the triangle's own grid (fineness.h)
+  uint32_t triangle;    // of the scene
   int fineness;
-  Polygon polygon;    // in units of base cells, seen from the triangle's front
+  PolygonView polygon;  // in units of base cells, seen from the triangle's front; whoever makes a piece keeps its corners
   // Of the front and the back:
   bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
   bool covered[2] = {};  // another surface lies on it, less than a hair away
+};
+
+// Pieces with their corners, as many as a world has.
+class PieceList {
+ public:
+  // Copies the corners; polygons of pieces are those of the list from the next close() on.
+  void add(const Piece& piece) {
+    corners_.insert(corners_.end(), piece.polygon.begin(), piece.polygon.end());
+    pieces_.push_back(piece);
+  }
+  void close() {
+    size_t at = 0;
+    for (Piece& piece : pieces_) {
+      piece.polygon = {corners_.data() + at, piece.polygon.size()};
+      at += piece.polygon.size();
+    }
+  }
+  size_t size() const { return pieces_.size(); }
+  bool empty() const { return pieces_.empty(); }
+  const Piece& operator[](size_t i) const { return pieces_[i]; }
+  auto begin() const { return pieces_.begin(); }
+  auto end() const { return pieces_.end(); }
+
+ private:
+  PagedVector<Piece> pieces_;
+  PagedVector<Point> corners_;
 };
 
 struct PieceSide {
@@ -38,7 +65,7 @@ class Fences {
 
   // Cuts a piece along the fences that part one of its sides, and appends what comes of it: mostly the piece itself.
   // Thread-safe, as all of this class.
-  void cut(Piece piece, std::vector<Piece>& out) const;
+  void cut(const Piece& piece, PieceList& out) const;
 
   enum class Border { kApart, kClosed, kOpen };
   // Whether two pieces share a border, and see each other across it.

@@ -3,7 +3,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
-#include <vector>
+
+#include "bake/paging.h"
 
 namespace ff::bake {
 
@@ -15,7 +16,7 @@ class Grouped {
     for (const uint32_t g : group_of)
       if (g < groups) ++first_[g + 1];
     for (size_t g = 0; g < groups; ++g) first_[g + 1] += first_[g];
-    std::vector<uint32_t> next(first_.begin(), first_.end() - 1);
+    PagedVector<uint32_t> next(first_.begin(), first_.end() - 1);
     member_.resize(first_.back());
     for (uint32_t i = 0; i < group_of.size(); ++i)
       if (group_of[i] < groups) member_[next[group_of[i]]++] = i;
@@ -23,7 +24,7 @@ class Grouped {
   std::span<const uint32_t> of(size_t group) const { return std::span(member_).subspan(first_[group], first_[group + 1] - first_[group]); }
 
  private:
-  std::vector<uint32_t> first_, member_;
+  PagedVector<uint32_t> first_, member_;
 };
 
 }  // namespace ff::bake

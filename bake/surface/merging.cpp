@@ -63,7 +63,7 @@ struct Merge {
 
 class Merger {
  public:
-  Merger(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, std::span<const Piece> pieces, std::span<const Side> sides, Labels& labels)
+  Merger(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, const PieceList& pieces, std::span<const Side> sides, Labels& labels)
       : scene_(scene), caster_(caster.withoutHoles()), settings_(settings), pieces_(pieces), sides_(sides), labels_(labels), directions_(lookDirections()) {}
 
   void merge() {
@@ -77,7 +77,7 @@ class Merger {
     }
     std::sort(lamps_.begin(), lamps_.end(), [](const Point& a, const Point& b) { return a.x < b.x; });
     tbb::parallel_sort(parts_.begin(), parts_.end(), [](const Part& a, const Part& b) { return a.order() < b.order(); });
-    std::vector<size_t> start;  // of cubes
+    PagedVector<size_t> start;  // of cubes
     for (size_t i = 0; i < parts_.size(); ++i)
       if (i == 0 || parts_[i].cube(kMaxMergedLog) != parts_[i - 1].cube(kMaxMergedLog)) start.push_back(i);
     start.push_back(parts_.size());
@@ -282,8 +282,8 @@ class Merger {
       uint8_t doublings;
       std::span<const uint32_t> patches;  // before
     };
-    std::vector<Place> places;
-    std::vector<uint8_t> merged(labels_.home.size());
+    PagedVector<Place> places;
+    PagedVector<uint8_t> merged(labels_.home.size());
     for (const auto& of_cube : merges)
       for (const Merge& merge : of_cube) {
         const uint32_t home = labels_.home[merge.patches.front()];
@@ -296,12 +296,12 @@ class Merger {
         places.push_back({side, home, static_cast<uint8_t>(merge.doublings), merge.patches});
         for (const uint32_t p : merge.patches) merged[p] = 1;
       }
-    std::vector<uint32_t> number(merged.size());
+    PagedVector<uint32_t> number(merged.size());
     std::iota(number.begin(), number.end(), 0u);
-    const std::vector<uint32_t> before = number;
+    const PagedVector<uint32_t> before = number;
     for (uint32_t p = 0; p < merged.size(); ++p)
       if (!merged[p]) places.push_back({sides_[labels_.home[p]], labels_.home[p], 0, std::span(before).subspan(p, 1)});
-    std::vector<uint32_t> order(places.size());
+    PagedVector<uint32_t> order(places.size());
     std::iota(order.begin(), order.end(), 0u);
     tbb::parallel_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return places[a].side < places[b].side; });
     Labels renumbered;
@@ -320,19 +320,19 @@ class Merger {
   const Scene& scene_;
   const RayCaster caster_;
   const MergeSettings settings_;
-  const std::span<const Piece> pieces_;
+  const PieceList& pieces_;
   const std::span<const Side> sides_;
   Labels& labels_;
   const std::vector<Vec3> directions_;
   Grouped sides_of_;                    // by patch
-  std::vector<Looks> known_;            // by patch
-  std::vector<Part> parts_;
-  std::vector<Point> lamps_;            // base cells, by x
+  PagedVector<Looks> known_;            // by patch
+  PagedVector<Part> parts_;
+  PagedVector<Point> lamps_;            // base cells, by x
 };
 
 }  // namespace
 
-void mergePatches(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, std::span<const Piece> pieces, std::span<const Side> sides,
+void mergePatches(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, const PieceList& pieces, std::span<const Side> sides,
                   Labels& labels) {
   Merger(scene, caster, settings, pieces, sides, labels).merge();
 }

@@ -27,7 +27,7 @@ struct MergeSettings {
 
 // Renumbers `labels` as PatchSet is sorted, and fills labels.doublings. pieces, sides: those that were labelled. On all of TBB's threads; a pure function
 // of what is near, and of what the patches see.
-void mergePatches(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, std::span<const Piece> pieces, std::span<const Side> sides,
+void mergePatches(const Scene& scene, const RayCaster& caster, const MergeSettings& settings, const PieceList& pieces, std::span<const Side> sides,
                   Labels& labels);
 
 }  // namespace ff::bake

@@ -21,7 +21,7 @@ double alignedWith(float lattice, double cell) {
 }  // namespace
 
 float latticeOf(const Scene& scene, float finest_m) {
-  std::vector<float> at;
+  PagedVector<float> at;
   at.reserve(3 * scene.positions.size());
   std::vector<bool> used(scene.positions.size());  // what was left out has no say
   for (const Triangle& t : scene.triangles)

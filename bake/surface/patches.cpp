@@ -8,7 +8,6 @@
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <numeric>
 #include <optional>
 #include <span>
 
@@ -16,6 +15,7 @@
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/components.h"
 #include "bake/surface/fineness.h"
+#include "bake/surface/grouped.h"
 #include "bake/surface/merging.h"
 #include "bake/surface/pieces.h"
 #include "bake/surface/sealed.h"
@@ -70,7 +70,7 @@ class PatchBuilder {
 
  private:
   Result<void> cutTriangles(const PieceCutter& cutter) {
-    constexpr size_t kChunk = 1024;
+    constexpr size_t kChunk = 1024, kTogether = 64;
     const size_t n = scene_.triangles.size(), chunks = (n + kChunk - 1) / kChunk;
     if (settings_.done) settings_.done->expect(n);
     // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
@@ -88,29 +88,32 @@ class PatchBuilder {
     // Surfaces that stand on each other are cut where they meet, into how many is not known before.
     std::atomic<uint64_t> made{0};
     const auto tooMany = [&] { return static_cast<double>(made.load(std::memory_order_relaxed)) > settings_.max_pieces; };
-    std::vector<std::vector<Piece>> parts(chunks);
-    tbb::parallel_for(size_t{0}, chunks, [&](size_t c) {
-      if (tooMany()) return;
-      const size_t end = std::min(n, (c + 1) * kChunk);
-      for (size_t t = c * kChunk; t < end; ++t) {
-        cutter.cut(static_cast<uint32_t>(t), parts[c]);
-        if (settings_.done) settings_.done->add();
+    set_.piece_start_.assign(n + 1, 0);
+    for (size_t first = 0; first < chunks && !tooMany(); first += kTogether) {
+      std::vector<PieceList> parts(std::min(kTogether, chunks - first));
+      tbb::parallel_for(size_t{0}, parts.size(), [&](size_t c) {
+        if (tooMany()) return;
+        const size_t begin = (first + c) * kChunk, end = std::min(n, begin + kChunk);
+        for (size_t t = begin; t < end; ++t) {
+          cutter.cut(static_cast<uint32_t>(t), parts[c]);
+          if (settings_.done) settings_.done->add();
+        }
+        made += parts[c].size();
+        parts[c].close();
+      });
+      for (PieceList& part : parts) {
+        for (const Piece& p : part) {
+          ++set_.piece_start_[p.triangle + 1];
+          pieces_.add(p);
+        }
+        part = {};
       }
-      made += parts[c].size();
-    });
+    }
+    pieces_.close();
     if (tooMany())
       return Error{ErrorCode::kUsage, scene_.name, "",
-                   "its surfaces cut each other into more than " + std::to_string(static_cast<uint64_t>(settings_.max_pieces)) + " pieces, more than there is memory for",
-                   "use a larger --patch-size, or allow more with --memory"};
-    set_.piece_start_.assign(n + 1, 0);
-    pieces_.reserve(std::accumulate(parts.begin(), parts.end(), size_t{0}, [](size_t sum, const auto& part) { return sum + part.size(); }));
-    for (auto& part : parts) {
-      for (Piece& p : part) {
-        ++set_.piece_start_[p.triangle + 1];
-        pieces_.push_back(std::move(p));
-      }
-      release(part);
-    }
+                   "its surfaces cut each other into more than " + std::to_string(static_cast<uint64_t>(settings_.max_pieces)) + " pieces",
+                   "use a larger --patch-size"};
     giveBackMemory();
     for (size_t t = 0; t < n; ++t) set_.piece_start_[t + 1] += set_.piece_start_[t];
     if (pieces_.empty())
@@ -134,11 +137,6 @@ class PatchBuilder {
   }
 
   // Triangulates the pieces by patch and averages what a patch carries.
-  // A side of a piece, which belongs to a patch.
-  struct Part {
-    uint32_t patch, piece, back;
-  };
-
   void measure() {
     giveBackMemory();
     set_.cell_m = settings_.cell_m;
@@ -158,31 +156,23 @@ class PatchBuilder {
       patch.lamp_group = side.lamp_group;
     }
     keepOutlines();
-    std::vector<Part> parts;
-    parts.reserve(sides_.size());
     for (uint32_t i = 0; i < sides_.size(); ++i) {
       const uint32_t patch = labels_.patch_of[i];
       set_.pieces_[sides_[i].piece].patch[sides_[i].back] = patch;
-      if (patch == kSealed) {
+      if (patch == kSealed)
         set_.sealed_m2 += length(vectorArea(pieces_[sides_[i].piece].polygon)) * static_cast<double>(settings_.cell_m) * static_cast<double>(settings_.cell_m);
-      } else {
-        parts.push_back({patch, sides_[i].piece, sides_[i].back});
-      }
     }
-    release(sides_);
+    const Grouped sides_of(labels_.patch_of, set_.patches.size());
     labels_ = {};
-    std::stable_sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) { return a.patch < b.patch; });
-    std::vector<uint32_t> start(set_.patches.size() + 1, 0);  // into parts, of each patch
-    for (const Part& part : parts) ++start[part.patch + 1];
     uint32_t triangles = 0;
     for (size_t p = 0; p < set_.patches.size(); ++p) {
-      start[p + 1] += start[p];
       set_.patches[p].first_triangle = triangles;
-      for (uint32_t k = start[p]; k < start[p + 1]; ++k) triangles += static_cast<uint32_t>(pieces_[parts[k].piece].polygon.size()) - 2;
+      for (const uint32_t i : sides_of.of(p)) triangles += static_cast<uint32_t>(pieces_[sides_[i].piece].polygon.size()) - 2;
       set_.patches[p].triangles = triangles - set_.patches[p].first_triangle;
     }
     set_.triangles.resize(triangles);
-    tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, std::span(parts).subspan(start[p], start[p + 1] - start[p])); });
+    tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, sides_of.of(p)); });
+    release(sides_);
     for (const Patch& p : set_.patches) set_.area_m2 += static_cast<double>(p.area_m2);
     keepSealed();
   }
@@ -240,7 +230,7 @@ class PatchBuilder {
       piece.cell = pieces_[i].cell;
       piece.first_rim = static_cast<uint32_t>(set_.rims_.size());
       if (!together(i, i + 1) && (i == 0 || !together(i - 1, i))) continue;
-      const Polygon& polygon = pieces_[i].polygon;
+      const PolygonView polygon = pieces_[i].polygon;
       const Point normal = vectorArea(polygon);
       for (size_t k = 0; k < polygon.size(); ++k) {
         const Point side = polygon[(k + 1) % polygon.size()] - polygon[k];
@@ -252,7 +242,7 @@ class PatchBuilder {
     }
   }
 
-  void measurePatch(size_t p, std::span<const Part> parts) {
+  void measurePatch(size_t p, std::span<const uint32_t> sides) {
     Patch& patch = set_.patches[p];
     uint32_t at = patch.first_triangle;
     double area = 0, solid = 0;
@@ -260,9 +250,9 @@ class PatchBuilder {
     Point centre{0, 0, 0};
     Vec3 normal;
     const float s = settings_.cell_m;
-    for (const Part& part : parts) {
-      const Piece& piece = pieces_[part.piece];
-      eachTriangle(piece, part.back, [&](Vec3 a, Vec3 b, Vec3 c) {
+    for (const uint32_t i : sides) {
+      const Piece& piece = pieces_[sides_[i].piece];
+      eachTriangle(piece, sides_[i].back, [&](Vec3 a, Vec3 b, Vec3 c) {
         PatchTriangle& t = set_.triangles[at++];
         t = {.a = a, .b = b, .c = c, .source = piece.triangle};
         const Vec3 n = cross(t.b - t.a, t.c - t.a) * 0.5f;
@@ -296,8 +286,8 @@ class PatchBuilder {
   const PatchSettings& settings_;
   const RayCaster* caster_;
   const LampGroups lamps_;
-  std::vector<Piece> pieces_;  // by triangle
-  std::vector<Side> sides_;
+  PieceList pieces_;  // by triangle
+  PagedVector<Side> sides_;
   Labels labels_;
   PatchSet set_;
 };

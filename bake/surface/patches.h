@@ -59,9 +59,9 @@ struct SealedTriangle {
 
 class PatchSet {
  public:
-  std::vector<Patch> patches;            // sorted by (key, orientation, lamp group, own grid, cell of that, first piece)
-  std::vector<PatchTriangle> triangles;  // by patch
-  std::vector<SealedTriangle> sealed;    // by patch
+  PagedVector<Patch> patches;            // sorted by (key, orientation, lamp group, own grid, cell of that, first piece)
+  PagedVector<PatchTriangle> triangles;  // by patch
+  PagedVector<SealedTriangle> sealed;    // by patch
   float cell_m = 1;
   double area_m2 = 0, sealed_m2 = 0;     // of the patches; of sealed surface, which has none
   uint64_t unmerged = 0;                 // how many patches there were before some were merged (merging.h); 0: that was not asked for
@@ -111,10 +111,10 @@ class PatchSet {
   };
   uint32_t searchPatch(uint32_t t, bool front, Vec3 p) const;
 
-  std::vector<uint32_t> piece_start_;  // per scene triangle
-  std::vector<int8_t> fineness_;       // likewise
-  std::vector<CutPiece> pieces_;       // by triangle, cells ascending
-  std::vector<Rim> rims_;
+  PagedVector<uint32_t> piece_start_;  // per scene triangle
+  PagedVector<int8_t> fineness_;       // likewise
+  PagedVector<CutPiece> pieces_;       // by triangle, cells ascending
+  PagedVector<Rim> rims_;
 };
 
 inline constexpr double kMostPieces = 5e8;

@@ -11,10 +11,10 @@ namespace {
 
 // Splits `polygon` along `axis` and on along the axes after it. A polygon that lies in a grid plane belongs to the cell
 // behind it, so that the faces of a voxel lie in the voxel's own cell.
-void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, double eps,
+void clip(PolygonView polygon, int axis, Cell cell, const Point& normal, double eps,
           std::vector<std::pair<Cell, Polygon>>& out) {
   if (axis == 3) {
-    out.emplace_back(cell, polygon);
+    out.emplace_back(cell, Polygon(polygon.begin(), polygon.end()));
     return;
   }
   double lo = 1e300, hi = -1e300;
@@ -30,7 +30,7 @@ void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, doub
     clip(polygon, axis + 1, cell, normal, eps, out);
     return;
   }
-  Polygon rest = polygon, below, above;
+  Polygon rest(polygon.begin(), polygon.end()), below, above;
   for (double k = first; k <= last; ++k) {
     cell[axis] = static_cast<int32_t>(k);
     if (k < last) {
@@ -52,7 +52,7 @@ void clip(const Polygon& polygon, int axis, Cell cell, const Point& normal, doub
 
 }  // namespace
 
-void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
+void PieceCutter::cut(uint32_t triangle, PieceList& out) const {
   const int fineness = finenessOf(scene_, triangle);
   const double s = static_cast<double>(cell_m_) * edgeCells(fineness);  // clipped in units of own cells
   Polygon corners;
@@ -76,12 +76,9 @@ void PieceCutter::cut(uint32_t triangle, std::vector<Piece>& out) const {
   std::stable_sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   for (auto& [cell, polygon] : parts) {
     for (Point& p : polygon) p = p * edgeCells(fineness);  // exact
-    Piece piece{cell, triangle, fineness, std::move(polygon)};
-    if (fences_) {
-      fences_->cut(std::move(piece), out);
-    } else {
-      out.push_back(std::move(piece));
-    }
+    const Piece piece{cell, triangle, fineness, polygon};
+    if (fences_) fences_->cut(piece, out);
+    else out.add(piece);
   }
 }
 

@@ -2,7 +2,6 @@
 // patches are made of.
 #pragma once
 #include <cstdint>
-#include <vector>
 
 #include "bake/scene.h"
 #include "bake/surface/fences.h"
@@ -16,7 +15,7 @@ class PieceCutter {
   // fences: null where nothing parts anything. Scene and fences outlive the cutter.
   PieceCutter(const Scene& scene, float cell_m, const Fences* fences) : scene_(scene), fences_(fences), cell_m_(cell_m) {}
   // Appends a triangle's pieces, by cell; at least one. Thread-safe.
-  void cut(uint32_t triangle, std::vector<Piece>& out) const;
+  void cut(uint32_t triangle, PieceList& out) const;
 
  private:
   const Scene& scene_;

@@ -5,7 +5,7 @@
 
 namespace ff::bake {
 
-Point vectorArea(const Polygon& p) {
+Point vectorArea(PolygonView p) {
   Point n{0, 0, 0};
   for (size_t i = 1; i + 1 < p.size(); ++i) {
     const Point c = cross(p[i] - p[0], p[i + 1] - p[0]);
@@ -14,7 +14,7 @@ Point vectorArea(const Polygon& p) {
   return n;
 }
 
-Point middle(const Polygon& polygon) {
+Point middle(PolygonView polygon) {
   Point sum;
   for (const Point& p : polygon) sum = sum + p;
   return sum * (1 / static_cast<double>(polygon.size()));
@@ -39,7 +39,7 @@ bool areApart(const Extent& a, const Extent& b, double tolerance) {
   return false;
 }
 
-bool clipInside(const Polygon& polygon, Point normal, double margin, Segment& segment) {
+bool clipInside(PolygonView polygon, Point normal, double margin, Segment& segment) {
   const Point along = segment.b - segment.a;
   double first = 0, last = 1;
   for (size_t i = 0; i < polygon.size(); ++i) {
@@ -77,14 +77,14 @@ double distance(const Segment& s, const Segment& t) {
   return std::min({distance(s.a, t), distance(s.b, t), distance(t.a, s), distance(t.b, s)});
 }
 
-std::vector<SharedBorder> sharedBorders(const Polygon& p, const Polygon& q, double tolerance) {
+std::vector<SharedBorder> sharedBorders(PolygonView p, PolygonView q, double tolerance) {
   std::vector<SharedBorder> shared;
   if (areApart(extentOf(p), extentOf(q), tolerance)) return shared;
   for (size_t i = 0; i < p.size(); ++i) shareBorder(p, i, q, tolerance, shared);
   return shared;
 }
 
-void shareBorder(const Polygon& p, size_t side_p, const Polygon& q, double tolerance, std::vector<SharedBorder>& shared) {
+void shareBorder(PolygonView p, size_t side_p, PolygonView q, double tolerance, std::vector<SharedBorder>& shared) {
   const Point a = p[side_p], side = p[(side_p + 1) % p.size()] - a;
   const double l = length(side);
   if (!(l > 0)) return;
@@ -104,7 +104,7 @@ void shareBorder(const Polygon& p, size_t side_p, const Polygon& q, double toler
   }
 }
 
-bool contains(const Polygon& polygon, Point point, double tolerance) {
+bool contains(PolygonView polygon, Point point, double tolerance) {
   const Point area = vectorArea(polygon);
   if (std::abs(dot(area, point - polygon[0])) > tolerance * length(area)) return false;
   for (size_t i = 0; i < polygon.size(); ++i)
@@ -112,10 +112,10 @@ bool contains(const Polygon& polygon, Point point, double tolerance) {
   return true;
 }
 
-bool touches(const Polygon& p, const Polygon& q, double tolerance) {
+bool touches(PolygonView p, PolygonView q, double tolerance) {
   const Extent around_p = extentOf(p), around_q = extentOf(q);
   if (areApart(around_p, around_q, tolerance)) return false;
-  const auto on = [&](const Polygon& corners, const Polygon& border, const Extent& around) {
+  const auto on = [&](PolygonView corners, PolygonView border, const Extent& around) {
     for (const Point& v : corners) {
       if (areApart({v, v}, around, tolerance)) continue;
       for (size_t i = 0; i < border.size(); ++i)

@@ -45,7 +45,7 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
   std::vector<Sample> samples;
   double area = 0;
   for (const PieceSide side : surface) {
-    const Polygon& p = side.piece->polygon;
+    const PolygonView p = side.piece->polygon;
     const auto metres = [&](size_t i) {
       return Vec3{static_cast<float>(p[i].x), static_cast<float>(p[i].y), static_cast<float>(p[i].z)} * cell_m_;
     };

@@ -3,12 +3,13 @@
 #include <algorithm>
 #include <cstdint>
 #include <numeric>
-#include <vector>
+
+#include "bake/paging.h"
 
 namespace ff::bake {
 
 struct UnionFind {
-  std::vector<uint32_t> parent;
+  PagedVector<uint32_t> parent;
   explicit UnionFind(size_t n) : parent(n) { std::iota(parent.begin(), parent.end(), 0u); }
   uint32_t find(uint32_t i) {
     while (parent[i] != i) i = parent[i] = parent[parent[i]];

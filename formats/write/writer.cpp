@@ -31,9 +31,9 @@ struct WorldWriter::State {
 
   Result<Extent> addTo(uint32_t kind, std::span<const std::byte> bytes, uint32_t raw_bytes);
   Result<void> closeShard(uint32_t kind);
-  Result<void> linkTiles(std::span<const std::vector<uint32_t>> parents);
-  Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> makeChunks(std::span<const std::vector<uint32_t>> parents);
-  Result<std::vector<ChildChunk>> writeChunks(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents);
+  Result<void> linkTiles(std::span<const std::span<const uint32_t>> parents);
+  Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> makeChunks(std::span<const std::span<const uint32_t>> parents);
+  Result<std::vector<ChildChunk>> writeChunks(const WorldInfo& info, std::span<const std::span<const uint32_t>> parents);
   void removeUnnamed();
 };
 
@@ -159,14 +159,14 @@ Result<void> WorldWriter::addGeometry(const TileGeometry& geometry, const WorldI
 }
 
 // Each tile's parent and child tiles, and what model.h promises of them.
-Result<void> WorldWriter::State::linkTiles(std::span<const std::vector<uint32_t>> parents) {
+Result<void> WorldWriter::State::linkTiles(std::span<const std::span<const uint32_t>> parents) {
   for (size_t l = 0; l + 1 < levels.size(); ++l) {
     std::vector<TileInfo>& above = tiles[l + 1];
     if (parents[l].size() != levels[l].nodes) return misuse("parent links are not one per node");
     std::vector<uint32_t> child_tile(levels[l + 1].nodes, kNoParent);  // by parent
     size_t p = 0, families = 0;
     for (TileInfo& tile : tiles[l]) {
-      const std::span<const uint32_t> own = std::span(parents[l]).subspan(tile.first_node, tile.nodes);
+      const std::span<const uint32_t> own = parents[l].subspan(tile.first_node, tile.nodes);
       if (own[0] >= above[p].first_node + above[p].nodes && p + 1 < above.size()) ++p;
       TileInfo& parent = above[p];
       for (size_t i = 0; i < own.size(); ++i) {
@@ -187,7 +187,7 @@ Result<void> WorldWriter::State::linkTiles(std::span<const std::vector<uint32_t>
 }
 
 // By level; without children.
-Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::makeChunks(std::span<const std::vector<uint32_t>> parents) {
+Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::makeChunks(std::span<const std::span<const uint32_t>> parents) {
   std::vector<std::vector<std::shared_ptr<Chunk>>> chunks(levels.size());
   auto root = std::make_shared<Chunk>();
   root->level = static_cast<uint32_t>(levels.size());
@@ -229,7 +229,7 @@ Result<std::vector<std::vector<std::shared_ptr<Chunk>>>> WorldWriter::State::mak
 }
 
 // From level 0 up, as a chunk's record names those of its children. Returns the root's children.
-Result<std::vector<ChildChunk>> WorldWriter::State::writeChunks(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents) {
+Result<std::vector<ChildChunk>> WorldWriter::State::writeChunks(const WorldInfo& info, std::span<const std::span<const uint32_t>> parents) {
   auto chunks = makeChunks(parents);
   if (!chunks) return chunks.error();
   std::vector<ChildChunk> root;
@@ -266,7 +266,7 @@ Result<std::vector<ChildChunk>> WorldWriter::State::writeChunks(const WorldInfo&
   return root;
 }
 
-Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents) {
+Result<void> WorldWriter::finish(const WorldInfo& info, std::span<const std::span<const uint32_t>> parents) {
   State& s = *state_;
   if (s.failed) return misuse("an earlier call failed");
   s.failed = true;

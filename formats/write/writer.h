@@ -47,7 +47,10 @@ class WorldWriter {
   // The child tiles of a tile lie in one chunk, which lies in the tile's own.
   // What could not be done without harm to the world is a warning in warnings(): a folder that cannot be synced, an old shard
   // that cannot be removed.
-  Result<void> finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents);
+  Result<void> finish(const WorldInfo& info, std::span<const std::span<const uint32_t>> parents);
+  Result<void> finish(const WorldInfo& info, std::span<const std::vector<uint32_t>> parents) {
+    return finish(info, std::vector<std::span<const uint32_t>>(parents.begin(), parents.end()));
+  }
 
   std::span<const std::string> warnings() const;  // a line each
 

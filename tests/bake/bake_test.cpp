@@ -66,19 +66,23 @@ TEST_F(Bake, GivesTheSameBytesInAnyMemory) {
     return stats ? stats->spilled_bytes : 0;
   };
   EXPECT_EQ(baked("much"), 0u);
-  settings.memory_bytes = static_cast<uint64_t>(estimateBake(scene, settings).memory_bytes * 1.01);
+  settings.memory_bytes = static_cast<uint64_t>(estimateBake(scene, settings).least_memory_bytes * 1.01);
+  const std::vector<char> taken(settings.memory_bytes, 1);
   EXPECT_GT(baked("little"), 100000u);
   EXPECT_TRUE(files("much") == files("little"));
   for (const auto& [name, content] : files("little")) EXPECT_EQ(name.find("spill"), std::string::npos) << name;
 }
 
 TEST_F(Bake, SaysNoToADiskThatIsTooSmallBeforeTheFirstRay) {
-  EXPECT_TRUE(checkSpace(path("w.ffm"), {.disk_bytes = 1}));
-  const auto full = checkSpace(path("w.ffm"), {.disk_bytes = 1e18});
+  EXPECT_TRUE(checkSpace(path("w.ffm"), {}, {.disk_bytes = 1}));
+  const auto full = checkSpace(path("w.ffm"), {}, {.disk_bytes = 1e18});
   ASSERT_FALSE(full);
   EXPECT_EQ(full.error().code, ErrorCode::kIo);
   EXPECT_NE(full.error().line().find("1000 PB of world do not fit"), std::string::npos) << full.error().line();
-  EXPECT_TRUE(checkSpace("/nowhere/at/all/w.ffm", {.disk_bytes = 1e18}));  // others say what is wrong with it
+  const auto aside = checkSpace(path("w.ffm"), {.memory_bytes = 1 << 30}, {.memory_bytes = 1e18, .disk_bytes = 1});
+  ASSERT_FALSE(aside);
+  EXPECT_NE(aside.error().line().find("1 B of world and 1000 PB that memory has no room for do not fit"), std::string::npos) << aside.error().line();
+  EXPECT_TRUE(checkSpace("/nowhere/at/all/w.ffm", {}, {.disk_bytes = 1e18}));  // others say what is wrong with it
 }
 
 // Worlds are taken for the same where their keys are (ffchart keeps bakes by them). Two materials that differ in name alone, and a pattern that

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <iostream>
 #include <random>
+#include <thread>
 
 #include "bake/rays/surface_sampling.h"
 #include "tests/support/analytic_scenes.h"
@@ -14,14 +15,17 @@ namespace ff::bake::test {
 namespace {
 
 constexpr float kFar = std::numeric_limits<float>::infinity();
+constexpr uint64_t kNoRoom = 1;  // for trees: each is let go once the next is wanted
 
 // Casters of one scene, at least two.
 std::vector<RayCaster> casters(const Scene& scene) {
   std::vector<RayCaster> made;
   for (const char* isa : {"isa=sse2", "isa=sse4.2", "isa=avx", "isa=avx2", "isa=avx512"}) {
-    auto caster = RayCaster::create(scene, isa);
-    if (caster) made.push_back(std::move(*caster));
-    else std::cout << "note: this processor has no " << isa << "; it is not tested\n";
+    auto caster = RayCaster::create(scene, RayCaster::kNoLimit, isa);
+    auto in_parts = RayCaster::create(scene, kNoRoom, isa);
+    if (!caster) std::cout << "note: this processor has no " << isa << "; it is not tested\n";
+    for (auto* c : {&caster, &in_parts})
+      if (*c) made.push_back(std::move(**c));
   }
   EXPECT_GE(made.size(), 2u);
   return made;
@@ -225,6 +229,36 @@ TEST(RayCaster, DistancesAreLimitsAndOfEquallyNearTrianglesTheFirstIsMet) {
   const auto caster = RayCaster::create(nothing);
   ASSERT_TRUE(caster);
   EXPECT_EQ(caster->nearest({{1, -1, 1}, {0, 1, 0}}).triangle, kNone);
+}
+
+// Trees come and go while rays are in others.
+TEST(RayCaster, PartsWhoseTreesAreLetGoAreMetTheSameFromManyThreads) {
+  const Scene scene = soup(11, {0, 0, 0}, 10, 4000);
+  const auto whole = RayCaster::create(scene);
+  ASSERT_TRUE(whole);
+  Random random(12);
+  std::vector<Ray> rays;
+  for (int i = 0; i < 4000; ++i) rays.push_back({random.any(12), normalized(random.any(1))});
+  std::vector<Hit> expected(rays.size());
+  whole->nearest(rays, expected);
+  for (const uint64_t tree_bytes : {uint64_t{1}, uint64_t{40000}}) {
+    const auto in_parts = RayCaster::create(scene, tree_bytes);
+    ASSERT_TRUE(in_parts);
+    std::vector<std::vector<Hit>> found(4, std::vector<Hit>(rays.size()));
+    std::vector<std::thread> threads;
+    for (size_t t = 0; t < found.size(); ++t)
+      threads.emplace_back([&, t] {
+        const size_t half = rays.size() / 2;
+        in_parts->nearest(std::span(rays).first(half), std::span(found[t]).first(half));
+        for (size_t i = half; i < rays.size(); ++i) found[t][i] = in_parts->nearest(rays[i]);
+      });
+    for (std::thread& t : threads) t.join();
+    for (const auto& hits : found)
+      for (size_t i = 0; i < rays.size(); ++i) {
+        ASSERT_EQ(hits[i].triangle, expected[i].triangle) << i;
+        ASSERT_EQ(hits[i].point, expected[i].point) << i;
+      }
+  }
 }
 
 TEST(RayCaster, NearIsWhatBoxesAre) {

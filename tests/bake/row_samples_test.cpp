@@ -118,7 +118,7 @@ TEST(SunOnPatches, ComesInBetweenTheSlatsOfBlinds) {
   const Scene scene = wallBehindBlinds();
   const auto set = makePatches(scene, {.cell_m = 0.5f});
   const auto caster = RayCaster::create(scene);
-  const std::vector<SunLight> sun = sunOnPatches(scene, *set, *caster, 1);
+  const auto sun = sunOnPatches(scene, *set, *caster, 1);
   float most = 0;
   for (size_t p = 0; p < sun.size(); ++p)
     if (set->patches[p].centroid.x < 0.1f) most = std::max(most, *std::max_element(sun[p].begin(), sun[p].end()));
@@ -130,7 +130,7 @@ TEST(SunOnPatches, TheBrightestDirectionalLightOfTheFileIsOneOfThem) {
   const auto set = makePatches(scene, {.cell_m = 0.5f});
   const auto caster = RayCaster::create(scene);
   const auto mostOnTheWall = [&] {
-    const std::vector<SunLight> sun = sunOnPatches(scene, *set, *caster, 1);
+    const auto sun = sunOnPatches(scene, *set, *caster, 1);
     float most = 0;
     for (size_t p = 0; p < sun.size(); ++p)
       if (set->patches[p].centroid.x < 0.1f) most = std::max(most, sun[p].back());

@@ -430,7 +430,7 @@ TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
     for (size_t k = 0; k < patches[i].row.column.size(); ++k) expected[{parent, h.parents[0][patches[i].row.column[k]]}] += patches[i].row.area_m2[k];
   }
   WorkCount done;
-  const std::vector<LightValues> clusters_light = gatherClusters(level0, light, h, 1, level1, done);
+  const auto clusters_light = gatherClusters(level0, light, h, 1, level1, done);
   size_t entries = 0;
   double whole = 0;
   for (uint32_t t = 0; t + 1 < h.tile_start[1].size(); ++t) {

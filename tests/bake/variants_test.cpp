@@ -530,15 +530,30 @@ TEST(Variants, EstimatesAreThoseOfTheSceneHoweverItStands) {
       const double off = e.patches / static_cast<double>(set->patches.size());
       EXPECT_LT(std::max(off, 1 / off), 2.2) << e.patches << " for " << set->patches.size();
       BakeSettings little = settings, enough = settings;
-      little.memory_bytes = static_cast<uint64_t>(e.memory_bytes / 2);
-      enough.memory_bytes = static_cast<uint64_t>(e.memory_bytes * 1.01);
+      little.memory_bytes = static_cast<uint64_t>(e.least_memory_bytes / 2);
+      enough.memory_bytes = static_cast<uint64_t>(e.least_memory_bytes * 1.01);
       EXPECT_TRUE(checkFits(odd, enough, e));
       const auto refused = checkFits(odd, little, e);
       ASSERT_FALSE(refused);
-      // Where triangles are smaller than patches, larger patches do not help.
-      EXPECT_NE(refused.error().remedy.find(cell_m < 6 ? "--patch-size" : "--exclude"), std::string::npos) << refused.error().line();
+      EXPECT_EQ(refused.error().remedy, "allow more") << "so little no bake takes";
     }
   }
+}
+
+// What comes to too much by its patches, and by its triangles, which are counted by a sample of them, takes larger ones.
+TEST(Estimate, CountsTheCellsOfManySmallTrianglesAndSaysWhichSizeFits) {
+  Scene ground, dust;
+  addQuad(ground, {-60, 0, -60}, {-60, 0, 60}, {60, 0, 60}, {60, 0, -60}, addMaterial(ground, {.5f, .5f, .5f}));
+  const auto refused = checkFits(ground, {.cell_m = 0.01f, .memory_bytes = 1 << 30}, estimateBake(ground, {.cell_m = 0.01f}));
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().remedy.find("--patch-size 0.02"), std::string::npos) << refused.error().line();
+  const uint32_t m = addMaterial(dust, {.5f, .5f, .5f});
+  for (uint32_t i = 0; i < 300; ++i)  // 90,000 cells, two triangles in each
+    for (uint32_t k = 0; k < 300; ++k) {
+      const Vec3 lo{static_cast<float>(i) + 0.4f, 0, static_cast<float>(k) + 0.4f};
+      addQuad(dust, lo, lo + Vec3{0, 0, 0.2f}, lo + Vec3{0.2f, 0, 0.2f}, lo + Vec3{0.2f, 0, 0}, m);
+    }
+  EXPECT_NEAR(estimateBake(dust, {.cell_m = 1}).patches, 90000, 4000);
 }
 
 }  // namespace

@@ -1,0 +1,181 @@
+#include "bake/paging.h"
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <condition_variable>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+#include "bake/memory.h"
+#include "bake/spill.h"
+
+namespace ff::bake {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr uint64_t kInMemory = 8;        // large arrays: a share of the limit, one in
+constexpr auto kLook = 2ms;              // how often what is held is looked at
+constexpr size_t kSlice = size_t{16} << 20;  // pages that are let go together
+
+// An open file that no folder names.
+int openUnnamed(const std::string& folder) {
+  const int file = ::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
+  if (file >= 0) return file;
+  std::string name = folder + (folder.ends_with('/') ? "" : "/") + ".ffbake-XXXXXX";  // file systems without such files
+  const int named = ::mkostemp(name.data(), O_CLOEXEC);
+  if (named >= 0) ::unlink(name.c_str());
+  return named;
+}
+
+// Of this process.
+class Pager {
+ public:
+  static Pager& get() {
+    static Pager* pager = new Pager;  // never taken down: arrays may live as long as the process
+    return *pager;
+  }
+
+  void begin(const Paging* who, std::string folder, uint64_t limit_bytes) {
+    const std::lock_guard lock(mutex_);
+    limits_.push_back({who, std::move(folder), limit_bytes});
+    if (!keeper_.joinable()) keeper_ = std::jthread([this](std::stop_token stop) { keep(stop); });
+  }
+
+  void end(const Paging* who) {
+    std::jthread ended;  // joined last
+    const std::lock_guard lock(mutex_);
+    std::erase_if(limits_, [&](const Limit& l) { return l.who == who; });
+    if (limits_.empty()) ended = std::move(keeper_);
+  }
+
+  void* allocate(size_t bytes) {
+    std::unique_lock lock(mutex_);
+    if (limits_.empty() || in_memory_ + bytes <= limit() / kInMemory) {
+      in_memory_ += bytes;
+      lock.unlock();
+      void* at = ::operator new(bytes, kAlignment, std::nothrow);
+      if (at) return at;
+      lock.lock();
+      in_memory_ -= bytes;
+      throw std::bad_alloc();
+    }
+    const std::string folder = limits_.back().folder;
+    lock.unlock();
+    void* at = map(folder, bytes);
+    lock.lock();
+    files_.emplace(static_cast<std::byte*>(at), bytes);
+    paged_ += bytes;
+    return at;
+  }
+
+  void free(void* at, size_t bytes) noexcept {
+    {
+      const std::lock_guard lock(mutex_);
+      const auto file = files_.find(static_cast<std::byte*>(at));
+      if (file != files_.end()) {
+        files_.erase(file);  // before another mapping may stand there
+        paged_ -= bytes;
+        ::munmap(at, bytes);
+        return;
+      }
+      in_memory_ -= bytes;
+    }
+    ::operator delete(at, kAlignment);
+  }
+
+  uint64_t paged() {
+    const std::lock_guard lock(mutex_);
+    return paged_;
+  }
+
+ private:
+  static constexpr std::align_val_t kAlignment{4096};
+  struct Limit {
+    const Paging* who;
+    std::string folder;
+    uint64_t bytes;
+  };
+
+  uint64_t limit() const {
+    return std::ranges::min_element(limits_, {}, &Limit::bytes)->bytes;
+  }
+
+  static void* map(const std::string& folder, size_t bytes) {
+    const auto fail = [&](int fault) {
+      throw SpillFailed{{ErrorCode::kIo, folder, "", std::string("cannot put aside what memory has no room for: ") + std::strerror(fault),
+                         "make room on that disk, or give more --memory"}};
+    };
+    const int file = openUnnamed(folder);
+    if (file < 0) fail(errno);
+    if (const int fault = ::posix_fallocate(file, 0, static_cast<off_t>(bytes))) {  // else a full disk would end the process when a page is touched
+      ::close(file);
+      fail(fault);
+    }
+    void* at = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+    const int fault = errno;
+    ::close(file);
+    if (at == MAP_FAILED) fail(fault);
+    ::madvise(at, bytes, MADV_NOHUGEPAGE);  // a byte that is touched is not to bring 2 MiB with it; systems without such pages refuse
+    return at;
+  }
+
+  // Lets pages go in turn once the process holds three quarters of the limit, until it holds half of what it may of them. They stay in the system's cache while
+  // that has room, and come back with a fault: many at a time and quickly, hence the room that is left.
+  void keep(std::stop_token stop) {
+    std::unique_lock lock(mutex_);
+    std::pair<std::byte*, size_t> hand{nullptr, 0};  // an array, and how far it has been let go
+    while (!stop.stop_requested() && !limits_.empty()) {
+      const uint64_t most = limit() / 4 * 3;
+      auto pause = kLook;
+      if (const ResidentMemory now = residentMemory(); !files_.empty() && now.all > most) {
+        const uint64_t others = now.all - now.files, left = others + (most - std::min(most, others)) / 2;
+        uint64_t visited = 0;
+        for (; visited < paged_ && residentMemory().all > left; visited += letGo(hand)) continue;
+        if (visited >= paged_) pause *= 8;  // it is not the arrays
+      }
+      wake_.wait_for(lock, stop, pause, [] { return false; });
+    }
+  }
+
+  // The next pages after the hand, in the order of addresses. Returns how many bytes; there is an array.
+  size_t letGo(std::pair<std::byte*, size_t>& hand) {
+    auto at = files_.lower_bound(hand.first);
+    if (at != files_.end() && at->first == hand.first && hand.second >= at->second) ++at;
+    if (at == files_.end()) at = files_.begin();
+    if (at->first != hand.first || hand.second >= at->second) hand = {at->first, 0};
+    const size_t bytes = std::min(kSlice, at->second - hand.second);
+    ::madvise(at->first + hand.second, bytes, MADV_DONTNEED);
+    hand.second += bytes;
+    return bytes;
+  }
+
+  std::mutex mutex_;
+  std::condition_variable_any wake_;
+  std::vector<Limit> limits_;
+  std::map<std::byte*, size_t> files_;  // mapped, by address
+  uint64_t in_memory_ = 0, paged_ = 0;  // of large arrays, B
+  std::jthread keeper_;
+};
+
+}  // namespace
+
+Paging::Paging(std::string folder, uint64_t limit_bytes) {
+  Pager::get().begin(this, folder.empty() ? "." : std::move(folder), limit_bytes > 0 ? limit_bytes : freeMemory());
+}
+Paging::~Paging() { Pager::get().end(this); }
+
+uint64_t pagedBytes() { return Pager::get().paged(); }
+void* allocateLarge(size_t bytes) { return Pager::get().allocate(bytes); }
+void freeLarge(void* at, size_t bytes) noexcept { Pager::get().free(at, bytes); }
+
+}  // namespace ff::bake
