@@ -69,7 +69,7 @@ constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
 constexpr double kBacksShare = 0.01;
 
 // Memory for Embree's trees: of what there is when they are built, one in so many.
-constexpr uint64_t kTrees = 3;
+constexpr uint64_t kTrees = 4;
 
 // What sampling a tile's rows showed.
 struct Sampling {
@@ -367,7 +367,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     light.push_back(poolPatches({set.patches, whole_area, sun, patch_of, density}, hierarchy, hits, path, settings.memory_bytes, levels[0], report.count, stats.spilled_bytes));
     for (uint32_t l = 1; l < hierarchy.levels(); ++l) light.push_back(gatherClusters(levels[l - 1], light[l - 1], hierarchy, l, levels[l], report.count));
   }
-  stats.spilled_bytes += hits.spilled() + rows_aside.written();
+  stats.spilled_bytes += hits.spilled() + rows_aside.written() + pagedBytes().most;
   giveBackMemory();
   const std::vector<formats::LampGroup> lamp_groups = describeLamps(groupLamps(scene), set.patches);
 

@@ -47,6 +47,7 @@ class Pager {
 
   void begin(const Paging* who, std::string folder, uint64_t limit_bytes) {
     const std::lock_guard lock(mutex_);
+    if (limits_.empty()) most_paged_ = paged_;
     limits_.push_back({who, std::move(folder), limit_bytes});
     if (!keeper_.joinable()) keeper_ = std::jthread([this](std::stop_token stop) { keep(stop); });
   }
@@ -75,6 +76,7 @@ class Pager {
     lock.lock();
     files_.emplace(static_cast<std::byte*>(at), bytes);
     paged_ += bytes;
+    most_paged_ = std::max(most_paged_, paged_);
     return at;
   }
 
@@ -93,9 +95,9 @@ class Pager {
     ::operator delete(at, kAlignment);
   }
 
-  uint64_t paged() {
+  PagedBytes paged() {
     const std::lock_guard lock(mutex_);
-    return paged_;
+    return {paged_, most_paged_};
   }
 
  private:
@@ -129,19 +131,19 @@ class Pager {
     return at;
   }
 
-  // Lets pages go in turn once the process holds three quarters of the limit, until it holds half of what it may of them. They stay in the system's cache while
+  // Lets pages go in turn once the process holds seven eighths of the limit, until it holds half of what it may of them. They stay in the system's cache while
   // that has room, and come back with a fault: many at a time and quickly, hence the room that is left.
   void keep(std::stop_token stop) {
     std::unique_lock lock(mutex_);
     std::pair<std::byte*, size_t> hand{nullptr, 0};  // an array, and how far it has been let go
     while (!stop.stop_requested() && !limits_.empty()) {
-      const uint64_t most = limit() / 4 * 3;
+      const uint64_t most = limit() / 8 * 7;
       auto pause = kLook;
       if (const ResidentMemory now = residentMemory(); !files_.empty() && now.all > most) {
         const uint64_t others = now.all - now.files, left = others + (most - std::min(most, others)) / 2;
         uint64_t visited = 0;
         for (; visited < paged_ && residentMemory().all > left; visited += letGo(hand)) continue;
-        if (visited >= paged_) pause *= 8;  // it is not the arrays
+        if (others >= most) pause *= 8;  // it is not the arrays
       }
       wake_.wait_for(lock, stop, pause, [] { return false; });
     }
@@ -163,7 +165,7 @@ class Pager {
   std::condition_variable_any wake_;
   std::vector<Limit> limits_;
   std::map<std::byte*, size_t> files_;  // mapped, by address
-  uint64_t in_memory_ = 0, paged_ = 0;  // of large arrays, B
+  uint64_t in_memory_ = 0, paged_ = 0, most_paged_ = 0;  // of large arrays, B
   std::jthread keeper_;
 };
 
@@ -174,7 +176,7 @@ Paging::Paging(std::string folder, uint64_t limit_bytes) {
 }
 Paging::~Paging() { Pager::get().end(this); }
 
-uint64_t pagedBytes() { return Pager::get().paged(); }
+PagedBytes pagedBytes() { return Pager::get().paged(); }
 void* allocateLarge(size_t bytes) { return Pager::get().allocate(bytes); }
 void freeLarge(void* at, size_t bytes) noexcept { Pager::get().free(at, bytes); }
 

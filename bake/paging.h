@@ -10,8 +10,8 @@
 
 namespace ff::bake {
 
-// While one lives, large arrays that are made are files once those in memory come to an eighth of the limit, and of files no more pages are held than what
-// the process holds besides leaves of it. Several may live; the smallest limit counts. Throws SpillFailed (spill.h) from the arrays where the disk is full.
+// While one lives, large arrays that are made are files once those in memory come to an eighth of the limit, and no more of their pages are held than what
+// the process holds besides leaves room for. Several may live; the smallest limit counts. Where the disk is full, arrays throw SpillFailed (spill.h) as they are made.
 class Paging {
  public:
   // folder: of the files. limit_bytes: most that the process is to hold; 0: what is free now.
@@ -23,8 +23,11 @@ class Paging {
 
 inline constexpr size_t kPagedBytes = size_t{1} << 20;  // smaller arrays are always in memory
 
-// Of arrays that are files at present, whole, B.
-uint64_t pagedBytes();
+// Of arrays that are files, whole, B: at present, and the most since the first Paging that lives began.
+struct PagedBytes {
+  uint64_t now = 0, most = 0;
+};
+PagedBytes pagedBytes();
 
 // At least kPagedBytes; aligned to a page. Thread-safe.
 void* allocateLarge(size_t bytes);

@@ -8,6 +8,7 @@
 #include <bit>
 #include <cmath>
 #include <functional>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -115,6 +116,7 @@ struct Boxes {
   uint64_t own = 0;
   std::array<uint64_t, 16> keys{};
   size_t count = 0;
+  std::span<const uint64_t> all() const { return std::span(keys).first(count); }
 
  private:
   static uint64_t keyOf(int64_t x, int64_t y, int64_t z, int size, uint32_t corners) {
@@ -123,52 +125,72 @@ struct Boxes {
   }
 };
 
-// Which faces share a box with another: of most scenes few, so that the others, as many as the scene has, need no table. Some that share none are among
-// them. Boxes are counted up to two by a hash of few bits, over and over, of those faces that are left, by another hash. On all of TBB's threads.
-class SharedBoxes {
+// Which faces may lie where another does: that looks for them in the box that they are kept in, or the other way round. Of most scenes few, so that the
+// others, as many as the scene has, need no table. Boxes are told by hashes of few bits, over and over, of the faces that are left; a few too many stay. On
+// all of TBB's threads.
+class Neighbours {
  public:
   static constexpr int kRounds = 4;
   // face_at(number, face): false where there is no such face. Thread-safe.
   template <class FaceAt>
-  SharedBoxes(size_t faces, FaceAt face_at)
-      : shared_((faces + 63) / 64, ~uint64_t{0}), bits_(std::clamp(std::bit_ceil(8 * faces), kLeastBits, kMostBits)) {
+  Neighbours(size_t faces, FaceAt face_at)
+      : left_((faces + 63) / 64, ~uint64_t{0}), bits_(std::clamp(std::bit_ceil(8 * faces), kLeastBits, kMostBits)) {
     for (int round = 0; round < kRounds; ++round) {
-      std::vector<uint64_t> once(bits_ / 64), again(bits_ / 64);
-      const auto place = [&](uint64_t key) { return mix64(key + static_cast<uint64_t>(round)) & (bits_ - 1); };
-      each(face_at, [&](size_t, const Boxes& boxes) {
-        for (size_t k = 0; k < boxes.count; ++k) {
-          const size_t p = place(boxes.keys[k]);
-          const uint64_t bit = uint64_t{1} << (p & 63);
-          if (std::atomic_ref(once[p / 64]).fetch_or(bit, std::memory_order_relaxed) & bit) std::atomic_ref(again[p / 64]).fetch_or(bit, std::memory_order_relaxed);
-        }
+      Bits kept(bits_, round), kept_again(bits_, round), wanted(bits_, round);
+      each(face_at, [&](const Boxes& boxes) {
+        if (kept.set(boxes.own)) kept_again.set(boxes.own);
         return true;
       });
-      each(face_at, [&](size_t, const Boxes& boxes) {
-        return std::any_of(boxes.keys.begin(), boxes.keys.begin() + static_cast<ptrdiff_t>(boxes.count), [&](uint64_t key) {
-          const size_t p = place(key);
-          return again[p / 64] >> (p & 63) & 1;
-        });
+      const auto finds = [&](const Boxes& boxes, uint64_t key) { return (key == boxes.own ? kept_again : kept).has(key); };
+      each(face_at, [&](const Boxes& boxes) {
+        for (const uint64_t key : boxes.all())
+          if (finds(boxes, key)) wanted.set(key);
+        return true;
+      });
+      each(face_at, [&](const Boxes& boxes) {
+        return wanted.has(boxes.own) || std::ranges::any_of(boxes.all(), [&](uint64_t key) { return finds(boxes, key); });
       });
     }
   }
-  bool has(size_t face) const { return shared_[face / 64] >> (face & 63) & 1; }
+  bool has(size_t face) const { return left_[face / 64] >> (face & 63) & 1; }
 
  private:
-  static constexpr size_t kLeastBits = size_t{1} << 12, kMostBits = size_t{1} << 28;
+  static constexpr size_t kLeastBits = size_t{1} << 12, kMostBits = size_t{1} << 27;
 
-  // keep(number, boxes) says which ones stay.
+  // Keys, by some bits of a hash. Thread-safe.
+  class Bits {
+   public:
+    Bits(size_t bits, int seed) : bits_(bits), seed_(static_cast<uint64_t>(seed)), word_(bits / 64) {}
+    bool set(uint64_t key) {  // whether it was set
+      const size_t p = place(key);
+      const uint64_t bit = uint64_t{1} << (p & 63);
+      return std::atomic_ref(word_[p / 64]).fetch_or(bit, std::memory_order_relaxed) & bit;
+    }
+    bool has(uint64_t key) const {
+      const size_t p = place(key);
+      return word_[p / 64] >> (p & 63) & 1;
+    }
+
+   private:
+    size_t place(uint64_t key) const { return mix64(key + seed_) & (bits_ - 1); }
+    const size_t bits_;
+    const uint64_t seed_;
+    std::vector<uint64_t> word_;
+  };
+
+  // keep(boxes) says which ones stay.
   template <class FaceAt, class Keep>
   void each(FaceAt face_at, Keep keep) {
-    tbb::parallel_for(size_t{0}, shared_.size(), [&](size_t word) {
-      Face face;
-      for (uint64_t left = shared_[word]; left; left &= left - 1) {
-        const auto bit = static_cast<size_t>(std::countr_zero(left));
-        if (!face_at(64 * word + bit, face) || !keep(64 * word + bit, Boxes(face))) shared_[word] &= ~(uint64_t{1} << bit);
+    tbb::parallel_for(size_t{0}, left_.size(), [&](size_t word) {
+      Face face{};
+      for (uint64_t bits = left_[word]; bits; bits &= bits - 1) {
+        const auto bit = static_cast<size_t>(std::countr_zero(bits));
+        if (!face_at(64 * word + bit, face) || !keep(Boxes(face))) left_[word] &= ~(uint64_t{1} << bit);
       }
     });
   }
 
-  std::vector<uint64_t> shared_;  // a bit a face
+  std::vector<uint64_t> left_;  // a bit a face
   const size_t bits_;
 };
 
@@ -179,8 +201,8 @@ class Finder {
 
   void add(const Face& face) {
     const Boxes boxes(face);
-    for (size_t k = 0; k < boxes.count; ++k) {
-      const auto there = last_.find(boxes.keys[k]);
+    for (const uint64_t key : boxes.all()) {
+      const auto there = last_.find(key);
       for (uint32_t f = there == last_.end() ? kNone : there->second; f != kNone; f = before_[f])
         if (merge(faces_[f], face, boxes.tolerance)) return;
     }
@@ -217,22 +239,22 @@ std::vector<bool> findDuplicates(const Scene& scene) {
   std::vector<bool> duplicate(scene.triangles.size());
   const auto n = static_cast<uint32_t>(scene.triangles.size());
   {
-    const SharedBoxes shared(n, [&](size_t t, Face& face) {
+    const Neighbours neighbours(n, [&](size_t t, Face& face) {
       if (t < n) face = faceOf(scene, static_cast<uint32_t>(t), static_cast<uint32_t>(t));
       return t < n;
     });
     Finder triangles(scene, duplicate);
     for (uint32_t t = 0; t < n; ++t)
-      if (shared.has(t)) triangles.add(faceOf(scene, t, t));
+      if (neighbours.has(t)) triangles.add(faceOf(scene, t, t));
   }
   std::vector<bool> begins(n);  // a quad, with the next triangle
   Face quad;
   for (uint32_t t = 0; t + 1 < n; ++t)
     if (!duplicate[t] && !duplicate[t + 1] && makeQuad(scene, t, t + 1, quad)) begins[t++] = true;
-  const SharedBoxes shared(n, [&](size_t t, Face& face) { return t < n && begins[t] && makeQuad(scene, static_cast<uint32_t>(t), static_cast<uint32_t>(t) + 1, face); });
+  const Neighbours neighbours(n, [&](size_t t, Face& face) { return t < n && begins[t] && makeQuad(scene, static_cast<uint32_t>(t), static_cast<uint32_t>(t) + 1, face); });
   Finder quads(scene, duplicate);
   for (uint32_t t = 0; t + 1 < n; ++t)
-    if (shared.has(t) && makeQuad(scene, t, t + 1, quad)) quads.add(quad);
+    if (neighbours.has(t) && makeQuad(scene, t, t + 1, quad)) quads.add(quad);
   return duplicate;
 }
 
