@@ -125,6 +125,78 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   return stats;
 }
 
+Result<void> Updater::prepare(const formats::WorldInfo& before) {
+  for (int turn = 0; turn < 2; ++turn) {  // asks for it; takes it up
+    if (auto built = cut_.next(streamer_.active()); !built) return built;
+    cut_.await();
+  }
+  const LocalMatrix& m = matrix();
+  for (auto* tiles : {&whole_.entered, &whole_.rows}) tiles->reserve(m.tiles.size());
+  names_.clear();
+  for (uint32_t t = 0; t < m.tiles.size(); ++t) names_.push_back({m.tiles[t].id.level, m.packed[t].strip->tile.name(), t});
+  std::ranges::sort(names_, {}, &Named::key);
+  lamp_before_.clear();
+  for (const formats::LampGroup& group : world_.info().lamp_groups) {
+    const auto at = std::ranges::find(before.lamp_groups, group.name, &formats::LampGroup::name);
+    lamp_before_.push_back(at == before.lamp_groups.end() ? formats::kNoLampGroup : static_cast<uint32_t>(at - before.lamp_groups.begin()));
+  }
+  for (int a = 0; a < 3; ++a) {
+    const auto axis = static_cast<size_t>(a);
+    from_before_[a] = static_cast<float>(before.origin[axis] - world_.info().origin[axis]);
+  }
+  return {};
+}
+
+void Updater::goOnFrom(Updater& before) {
+  sky_ = before.sky_;
+  ambient_ = before.ambient_;
+  direct_light_ = std::move(before.direct_light_);
+  for (uint32_t group = 0; group < lamp_before_.size(); ++group)
+    if (lamp_before_[group] != formats::kNoLampGroup) lamps_.set(group, before.lamps_.scale(lamp_before_[group]));
+  sky_changed_ = light_changed_ = lamps_changed_ = true;
+  emission_change_ = before.emission_change_;
+  frame_began_ = before.frame_began_;
+  frame_seconds_ = before.frame_seconds_;
+  takeLight(before);
+  started_ = missed_ = true;
+}
+
+// Into before_, by slot.
+void Updater::takeLight(Updater& before) {
+  const LocalMatrix &from = before.matrix(), &m = matrix();
+  std::vector<Vec4>& old = before.radiosity_;
+  if (before.isTakenUp()) {
+    if (!solver_.radiosity(old)) std::ranges::fill(old, Vec4{});
+  } else {
+    old.assign(before.before_.begin(), before.before_.end());
+  }
+  constexpr Vec4 kUnknown{0, 0, 0, -1};
+  before_.assign(m.slots(), kUnknown);
+  if (old.size() != from.slots()) return before_.assign(m.slots(), {});  // it has had no frame
+  for (size_t t = 0; t < from.tiles.size(); ++t) {
+    const stream::ResidentStrip& strip = *from.packed[t].strip;
+    const Named name{from.tiles[t].id.level, strip.tile.name(), 0};
+    const auto at = std::ranges::lower_bound(names_, name.key(), {}, &Named::key);
+    if (at == names_.end() || at->key() != name.key()) continue;
+    const auto& now = m.packed[at->tile].strip->nodes;
+    const float near_m = world_.levels()[name.level].cell_m / 2;
+    for (uint32_t i = 0; i < std::min(now.size(), strip.nodes.size()); ++i)
+      if (length(strip.nodes[i].centroid + from_before_ - now[i].centroid) < near_m) before_[m.tiles[at->tile].first_slot + i] = old[from.tiles[t].first_slot + i] * Vec4{1, 1, 1, 0};
+  }
+  Vec4 light, albedo;
+  for (const uint32_t s : from.leaves) {
+    const Vec4 area{from.area_m2[s], from.area_m2[s], from.area_m2[s], 0};
+    light = light + old[s] * area;
+    albedo = albedo + from.albedo[s] * area;
+  }
+  for (size_t t = m.tiles.size(); t-- > 0;)  // parents first
+    for (uint32_t slot = m.tiles[t].first_slot, end = slot + m.tiles[t].nodes; slot < end; ++slot) {
+      if (before_[slot].w == 0) continue;
+      const uint32_t parent = m.parent_slot[slot];
+      before_[slot] = parent != kNoSlot ? before_[parent] : onAlbedo(light, albedo, m.albedo[slot], {});
+    }
+}
+
 // Whether the matrix has changed.
 Result<bool> Updater::followCut() {
   const bool whole = std::exchange(await_cut_, false) || !started_;

@@ -5,6 +5,8 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <tuple>
+#include <vector>
 
 #include "runtime/cut/cut_builder.h"
 #include "runtime/cut/cut_fade.h"
@@ -56,6 +58,15 @@ class Updater {
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(const stream::Observers& observers, int iterations);
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations) { return frame(stream::Observers(stream::Observer{observer, velocity}), iterations); }
+  // These two are for a re-bake of a world that is shown (reload.h), before the first frame. prepare(): on any thread; puts together the matrix of the
+  // streamer's active tiles, and what goOnFrom() needs to know of the world shown until now.
+  Result<void> prepare(const formats::WorldInfo& before);
+  // Takes the place of an updater with the same solver, which is not used any more: goes on with its direct light, its sky, its switches of lamps (by their
+  // groups' names; new ones are as baked), and with what its nodes reflect, where there is one of the same name in the same place. Others start from
+  // their nearest ancestor that has, else with the mean irradiance of all. Allocates nothing.
+  void goOnFrom(Updater& before);
+  // Whether the solver has what the last frame brought; else it may still look at what an updater before has.
+  bool isTakenUp() const { return started_ && !missed_; }
   // The next frame waits until the matrix is that of the streamer's active tiles, and light need not follow any more.
   void awaitCut() { await_cut_ = true; }
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
@@ -84,6 +95,7 @@ class Updater {
   Result<bool> followCut();
   Result<void> takeUpChange();
   const MatrixChange& wholeMatrix();
+  void takeLight(Updater& before);
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;
@@ -110,6 +122,16 @@ class Updater {
   float frame_seconds_ = 0;
   bool await_cut_ = false;
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
+  // Of prepare().
+  struct Named {
+    uint32_t level;
+    formats::TileName name;
+    uint32_t tile;  // number in LocalMatrix::tiles
+    auto key() const { return std::tuple(level, name.chunk, name.tile); }
+  };
+  std::vector<Named> names_;           // by key()
+  std::vector<uint32_t> lamp_before_;  // by lamp group: the one of its name in the world before, kNoLampGroup: none
+  Vec3 from_before_;                   // between the two worlds' origins, m
   MatrixChange whole_;
   const MatrixChange* told_ = &whole_;
   bool started_ = false, sky_changed_ = false, light_changed_ = false, lamps_changed_ = false;

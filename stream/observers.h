@@ -33,6 +33,11 @@ class Observers {
   const Observer& operator[](size_t i) const { return list_[i]; }
   friend bool operator==(const Observers& a, const Observers& b) { return std::ranges::equal(a, b); }
 
+  Observers moved(Vec3 by_m) const {
+    Observers moved = *this;
+    for (size_t i = 0; i < count_; ++i) moved.list_[i].at += by_m;
+    return moved;
+  }
   // Of the nearest one, where it will be after so many seconds, m.
   float distance(const Box& bounds, float seconds = 0) const {
     float nearest = bounds.distance(list_[0].at + list_[0].velocity * seconds);

@@ -4,6 +4,7 @@
 
 #include "runtime/full_solve.h"
 #include "tests/formats/faulty_storage.h"
+#include "tests/runtime/lit_state.h"
 #include "tests/runtime/test_world.h"
 #include "tests/stream/test_sources.h"
 
@@ -242,23 +243,6 @@ TEST(Updater, ConvergedRadiosityDependsOnTheObserverAloneNotOnThePath) {
   EXPECT_LE(difference, 2 * 9 * 1e-7f * largest + 1e-6f * largest);
 }
 
-// Of every node of the cut, from its row and its light to the bits that twenty steps from darkness come to.
-std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> stateOf(Updater& updater, Solver& solver) {
-  const LocalMatrix& m = updater.matrix();
-  std::vector<Vec4> radiosity(m.slots());
-  EXPECT_TRUE(solver.setRadiosity(radiosity));
-  EXPECT_TRUE(solver.iterate(20));
-  EXPECT_TRUE(solver.radiosity(radiosity));
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> state;
-  for (const SlotRange& range : m.tiles)
-    for (uint32_t i = 0; i < range.nodes; ++i) {
-      const uint32_t slot = range.first_slot + i;
-      const Vec4 b = radiosity[slot], s = updater.source()[slot], e = updater.emission()[slot];
-      state[{range.id.level, range.first_node + i}] = {b.x, b.y, b.z, s.x, s.y, s.z, e.x, e.y, e.z, static_cast<float>(m.leaf[slot]), static_cast<float>(m.row(slot).size())};
-    }
-  return state;
-}
-
 TEST(Updater, OnceAFaultHasPassedTheStateIsThatOfAWorldWithoutIt) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   const Vec3 first{8, 1, 8}, at{50, 1, 40};
@@ -319,7 +303,7 @@ TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
   ASSERT_TRUE(world) << world.error().line();
   const stream::StreamSettings settings{.radius_m = 8, .hysteresis = 1.0f, .retry_seconds = 0.02f};
   const Vec3 first{8, 1, 8}, at{50, 1, 40};
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  LitState states[2];
   size_t tiles = 0;
   for (const bool outage : {false, true}) {
     const auto streamer = std::move(*stream::Streamer::create(*world, settings));
@@ -352,7 +336,7 @@ TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
 // has a whole cut, and light that is finite.
 TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  LitState states[2];
   for (const bool background : {false, true}) {
     const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
     const auto solver = makeCpuGather(1);
