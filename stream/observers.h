@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <span>
 
@@ -16,6 +17,13 @@ struct Observer {
 };
 
 inline constexpr size_t kMaxObservers = 16;
+
+// Where an observer will be, other than by its velocity: a teleport, a cut scene, a spawn point.
+struct Hint {
+  Vec3 at;  // m
+  std::chrono::steady_clock::time_point due;
+};
+inline constexpr std::chrono::seconds kHintStays{5};  // beyond its time
 
 // 1 to kMaxObservers of them; takes no memory.
 class Observers {

@@ -31,6 +31,7 @@ struct StreamSettings {
   int queue_depth = 16;                         // reads at a time: what flies at 80 m/s wants some 150 a second, also where each takes 0.1 s
   float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
   uint64_t ahead_bytes = uint64_t{4} << 20;     // of memory_bytes, at most, for what is read ahead
+  uint64_t hint_bytes = uint64_t{16} << 20;     // of memory_bytes, at most, for what expect() names
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 
@@ -53,6 +54,10 @@ class Streamer {
   // together: where they run out, the same smaller radius is everybody's. Returns true if the active set has changed.
   virtual bool update(const Observers& observers) = 0;
   bool update(Vec3 observer, Vec3 velocity) { return update(Observers(Observer{observer, velocity})); }
+  // Places where observers will be, kMaxObservers at most: what is wanted there is read ahead, the nearest deadline first, within hint_bytes and what memory
+  // is left. Replaces those before; each is forgotten kHintStays after its time.
+  virtual void expect(std::span<const Hint> hints) = 0;
+  virtual std::span<const Hint> expected() const = 0;
   // From the next update() on a tile is wanted so long before an observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
   virtual void setLead(float seconds) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile

@@ -96,6 +96,7 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   streaming.hysteresis = s.hysteresis;
   streaming.memory_bytes = s.memory_bytes;
   streaming.kept_bytes = s.kept_bytes;
+  streaming.hint_bytes = s.hint_bytes;
   streaming.max_level0_nodes = s.max_patches;
   streaming.max_nodes = s.max_nodes;
   streaming.decode_threads = static_cast<int>(s.decode_threads);
@@ -211,12 +212,13 @@ void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   reloader->follow(now);
   if (leaving || !reloader->ready()) return;
   leaving = std::exchange(shown, reloader->take());
-  for (uint32_t a = 0; a < 3; ++a) {
-    const double way = leaving->world->info().origin[a] - world().info().origin[a];
-    Vec3 by;
-    by[static_cast<int>(a)] = static_cast<float>(way);
-    now = now.moved(by);
-  }
+  Vec3 by;  // from one origin to the other
+  for (uint32_t a = 0; a < 3; ++a) by[static_cast<int>(a)] = static_cast<float>(leaving->world->info().origin[a] - world().info().origin[a]);
+  now = now.moved(by);
+  std::array<stream::Hint, stream::kMaxObservers> hints;
+  const auto expected = leaving->streamer->expected();
+  std::ranges::transform(expected, hints.begin(), [&](const stream::Hint& hint) { return stream::Hint{hint.at + by, hint.due}; });
+  shown->streamer->expect(std::span(hints).first(expected.size()));
   updater().goOnFrom(leaving->updater);
   const stream::StreamStats strips = leaving->streamer->stats();
   strips_before.strips_read += strips.strips_read;
@@ -412,6 +414,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->hysteresis = streaming.hysteresis;
   settings->memory_bytes = streaming.memory_bytes;
   settings->kept_bytes = streaming.kept_bytes;
+  settings->hint_bytes = streaming.hint_bytes;
   settings->max_patches = streaming.max_level0_nodes;
   settings->max_nodes = streaming.max_nodes;
   settings->decode_threads = 1;
@@ -554,6 +557,22 @@ FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const Fo
     if (!observers) return usageError("observers", "is NULL");
     const auto all = w.observersOf({observers, count});
     return all ? w.frame(*all) : Result<void>(all.error());
+  });
+}
+
+FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const FormfieldPlace* places) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (count > stream::kMaxObservers) return usageError("places", "are more than 16", "give at most FORMFIELD_MAX_OBSERVERS");
+    if (count > 0 && !places) return usageError("places", "is NULL");
+    std::array<stream::Hint, stream::kMaxObservers> hints;
+    for (uint32_t i = 0; i < count; ++i) {
+      const FormfieldPlace& place = places[i];
+      hints[i].at = w.fromOrigin(place.position);
+      if (!isFinite(hints[i].at) || !(place.seconds >= 0 && place.seconds <= 1e6f)) return usageError("place", "or its time is not finite, or the time is negative");
+      hints[i].due = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(place.seconds));
+    }
+    w.shown->streamer->expect(std::span(hints).first(count));
+    return {};
   });
 }
 

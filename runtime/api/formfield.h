@@ -97,6 +97,7 @@ typedef struct FormfieldWorldSettings {
   uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns; 0: at once. What is needed is loaded so much
                                   earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
   uint32_t logged_frames;      /* the last so many frames are kept, 64 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
+  uint64_t hint_bytes;         /* of memory_bytes, at most, for what formfieldExpect names */
   float reload_seconds;        /* so often the world's file is looked at (one stat; behind a web server, one request for a byte), and when it was
                                   baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
 } FormfieldWorldSettings;
@@ -211,6 +212,17 @@ typedef struct FormfieldObserver {
  * what one has around it is there for all. Each keeps its place in the list from frame to frame. The budgets of FormfieldWorldSettings are of all
  * together. */
 FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const FormfieldObserver* observers);
+
+/* Where an observer will be otherwise than by its velocity: after a teleport, a cut scene, at a spawn point. */
+typedef struct FormfieldPlace {
+  double position[3]; /* m, as an observer's */
+  float seconds;      /* from now, >= 0 */
+} FormfieldPlace;
+
+/* From the next frame on what such places want is read ahead, the soonest first, each from the nearest on, within hint_bytes: what fits and can be read in time is
+ * there when an observer jumps. Replaces all that was expected before; count: 0 to FORMFIELD_MAX_OBSERVERS. A place is forgotten 5 s after its time. Call it
+ * once, or with every frame. The budgets of an observer hold for what is wanted once it is there: max_patches, max_nodes. */
+FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const FormfieldPlace* places);
 
 /* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
  * next frame. */

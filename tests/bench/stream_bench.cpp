@@ -38,6 +38,7 @@ struct Options {
   double seconds = 15;
   float height_m = 1.6f;
   float delay_ms = 0;
+  double hint_seconds = 0.5;
   uint32_t fade_frames = 8;  // as the C interface does
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false;
 };
@@ -152,7 +153,8 @@ uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::Stream
   return late;
 }
 
-void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, Flown& flown) {
+// hint_seconds: before every teleport the streamer is told where it goes; 0: it is not.
+void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, double hint_seconds, Flown& flown) {
   for (int pass = 0; pass < path.passes; ++pass) {
     const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
     std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
@@ -192,6 +194,11 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     for (int f = 1; f <= frames; ++f) {
       std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(f * kFrameSeconds)));
       const FlightPath::Moment now = path.moment(pass, f * kFrameSeconds);
+      if (hint_seconds > 0)
+        if (const FlightPath::Moment then = path.moment(pass, f * kFrameSeconds + hint_seconds); then.jumped) {
+          const stream::Hint hint{then.at, Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(hint_seconds))};
+          streamer->expect({&hint, 1});
+        }
       if (options.unhurried) {
         streamer->update(now.at, now.velocity);
         orExit(streamer->settle());
@@ -213,7 +220,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       flown.frames_late += late > 0;
       flown.late += late;
       flown.wanted += s.wanted_tiles;
-      if (now.jumped) jumped_at = f;
+      if (length(now.at - path.moment(pass, (f - 1) * kFrameSeconds).at) > 5) jumped_at = f;
       if (jumped_at >= 0 && late == 0) {
         flown.whole_after_ms.push_back(1000 * kFrameSeconds * (f - jumped_at + 1));
         jumped_at = -1;
@@ -323,6 +330,9 @@ int main(int argc, char** argv) {
   app.add_option("--height", options.height_m, "of the eyes, m, in the world's coordinates")->capture_default_str();
   app.add_option("--reader", options.reader, "io_uring or threads; what streams choose without it")->check(CLI::IsMember({"io_uring", "threads"}));
   app.add_option("--delay", options.delay_ms, "ms that every read takes longer")->check(CLI::Range(0.0f, 10000.0f));
+  app.add_option("--hint", options.hint_seconds, "s before a teleport that the streamer is told where it goes; such paths are flown without and with it; 0: without")
+      ->check(CLI::Range(0.0, 0.9))
+      ->capture_default_str();
   app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
   app.add_flag("--warm", options.warm, "leaves the files in the page cache");
   app.add_option("--fade", options.fade_frames, "frames that a tile takes to come or to go, at least; 0: it does so at once")->capture_default_str();
@@ -340,9 +350,12 @@ int main(int argc, char** argv) {
   const std::string name = std::to_string(world.levels()[0].nodes) + " patches" + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
   for (const FlightPath& path : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
     if (!path.name.starts_with(options.path)) continue;
-    Flown flown;
-    fly(options, world, surface, path, flown);
-    report(name, path, flown);
+    for (const double hint_seconds : {0.0, options.hint_seconds}) {
+      if (hint_seconds > 0 && !path.teleports) continue;
+      Flown flown;
+      fly(options, world, surface, path, hint_seconds, flown);
+      report(name + (hint_seconds > 0 ? ", told " + number(hint_seconds) + " s before" : ""), path, flown);
+    }
   }
   if (options.path.empty()) printDecoding(world, name);
   std::filesystem::remove_all(folder);
