@@ -8,14 +8,8 @@
 namespace ff::runtime {
 namespace {
 
-constexpr std::chrono::milliseconds kLook{2};          // at what has come
+constexpr std::chrono::milliseconds kLook{2};  // at what has come
 constexpr std::chrono::seconds kRetry{5};
-
-Vec3 between(const formats::WorldInfo& from, const formats::WorldInfo& to) {
-  Vec3 way;
-  for (int a = 0; a < 3; ++a) way[a] = static_cast<float>(from.origin[static_cast<size_t>(a)] - to.origin[static_cast<size_t>(a)]);
-  return way;
-}
 
 }  // namespace
 
@@ -27,7 +21,7 @@ Result<std::unique_ptr<Generation>> Generation::create(formats::World opened, co
 }
 
 Generation::Generation(std::unique_ptr<formats::World> opened, std::unique_ptr<stream::Streamer> strips, const GenerationSettings& settings, Solver& solver)
-    : world(std::move(opened)), streamer(std::move(strips)), updater(*world, *streamer, solver, FarLight::kPyramid, true, settings.fade) {
+    : world(std::move(opened)), streamer(std::move(strips)), updater(*world, *streamer, solver, FarLight::kPyramid, true, settings.fade, settings.max_applied_tiles) {
   if (settings.probes) probes.emplace(*world, slots, *settings.probes);
 }
 
@@ -120,13 +114,10 @@ void Reloader::work() {
 }
 
 void Reloader::look(bool asked) try {
-  if (!asked) {
-    auto version = formats::storageFor(path_)->version(path_, {.cancelled = &stop_});
-    if (!version) return fail(version.error().line());
-    const bool same = *version == known_;
-    if (same && !(failed_ && Clock::now() >= retry_at_)) return;
-    known_ = std::move(*version);
-  }
+  auto version = formats::storageFor(path_)->version(path_, {.cancelled = &stop_});
+  if (!version) return fail(version.error().line());
+  const bool same = std::exchange(known_, *version) == *version;
+  if (!asked && same && !(failed_ && Clock::now() >= retry_at_)) return;
   auto next = openNext(asked);
   if (stop_) return;
   if (!next) return fail(next.error().line());
@@ -149,14 +140,14 @@ Result<std::unique_ptr<Generation>> Reloader::openNext(bool asked) {
   auto next = open_();
   if (!next) return next;
   if (!asked && (*next)->world->checksum() == checksum_) return std::unique_ptr<Generation>();
-  const Vec3 way = between(before_, (*next)->world->info());
+  const Vec3 step = originStep(before_, (*next)->world->info());
   const auto where = [&] {
     stream::Observers observers;
     {
       const std::lock_guard lock(mutex_);
       observers = observers_;
     }
-    return observers.moved(way);
+    return observers.moved(step);
   };
   if (auto prepared = (*next)->prepare(before_, where, stop_); !prepared) return prepared.error();
   return next;

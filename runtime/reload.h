@@ -2,6 +2,7 @@
 // world's file has been replaced, and opens and prepares the next generation on a thread of its own, so that a frame only takes it.
 #pragma once
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <functional>
 #include <memory>
@@ -23,6 +24,7 @@ struct GenerationSettings {
   stream::StreamSettings stream;
   FadeSettings fade;
   std::optional<ProbeSettings> probes;
+  uint32_t max_applied_tiles = 0;
 };
 
 // One thread at a time.

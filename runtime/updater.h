@@ -8,6 +8,7 @@
 #include <tuple>
 #include <vector>
 
+#include "runtime/cut/cut_budget.h"
 #include "runtime/cut/cut_builder.h"
 #include "runtime/cut/cut_fade.h"
 #include "runtime/lamps.h"
@@ -27,18 +28,24 @@ struct FrameStats {
   uint32_t slots = 0, leaves = 0, level0_leaves = 0;
   uint64_t entries = 0;
   bool matrix_changed = false;
+  uint32_t applied_tiles = 0;  // that entered the matrix in this frame
+  uint32_t waiting_tiles = 0;  // that are there and wait for their turn to enter
   uint32_t light_zeroed =
       0;  // values of DirectLight, and sources made of them, that were no light and were taken for zero
   double stream_ms = 0, matrix_ms = 0, solve_ms = 0;
 };
 
+// What to add to a place of one world to have it in the coordinates of another, m.
+Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to);
+
 class Updater {
  public:
   // All three must outlive the updater. background: the matrix of a new cut is put together on a thread of its own and taken up a frame or two later,
   // whole; else within the frame. fade: over how many frames light follows a change of the cut (cut_fade.h, Solver::ease); by default at
-  // once. Tiles are then wanted so much earlier, by the time that frames take.
+  // once. Tiles are then wanted so much earlier, by the time that frames take. max_applied_tiles: that enter in a frame, at most (cut_budget.h); 0: no limit. A frame that waits
+  // (awaitCut), the first one, and one that gives out all slots anew, for want of consecutive ones, take all.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
-          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {});
+          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {}, uint32_t max_applied_tiles = 0);
   // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
   // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
@@ -109,6 +116,7 @@ class Updater {
   DirectLight direct_light_;
   CutBuilder cut_;
   CutFade fade_;
+  CutBudget budget_;
   Vec3 ambient_;
   stream::Observers observers_;
   std::vector<Vec4> source_, emission_;   // per slot
@@ -135,7 +143,7 @@ class Updater {
   MatrixChange whole_;
   const MatrixChange* told_ = &whole_;
   bool started_ = false, sky_changed_ = false, light_changed_ = false, lamps_changed_ = false;
-  uint32_t light_zeroed_ = 0;  // in this frame
+  uint32_t light_zeroed_ = 0, applied_tiles_ = 0;  // in this frame
   std::string light_fault_;
 };
 

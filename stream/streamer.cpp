@@ -36,13 +36,14 @@ Result<StripPtr> loadNow(const formats::World& world, TileSource& source, const 
 class StreamerImpl final : public Streamer {
  public:
   // top: the coarsest level's chunks.
-  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top)
+  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top, Now now)
       : world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
         cache_(settings.memory_bytes, settings.kept_bytes, wanted_.maxWanted() + kMoreCached),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted() + PathPlanner::kMaxTiles, wanted_.maxWanted() + kMoreCached),
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted() + PathPlanner::kMaxTiles, wanted_.maxWanted() + kMoreCached,
+                RateLimit(settings.read_bytes_per_second), std::move(now)),
         ahead_bytes_(settings.ahead_bytes),
         hint_bytes_(settings.hint_bytes),
         memory_bytes_(settings.memory_bytes) {
@@ -115,6 +116,7 @@ class StreamerImpl final : public Streamer {
     StreamStats stats = stats_;
     stats.evicted = cache_.evicted();
     stats.cancelled = loader_.cancelled();
+    stats.reads_held = loader_.readsHeld();
     stats.resident_bytes = cache_.bytes();
     stats.peak_resident_bytes = cache_.peakBytes();
     stats.resident_tiles = cache_.tiles();
@@ -371,7 +373,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
 }  // namespace
 
 Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
-                                                   std::unique_ptr<TileSource> source) try {
+                                                   std::unique_ptr<TileSource> source, Now now) try {
   std::vector<formats::ChunkPtr> top;
   for (uint32_t k = 0; k < world.root()->children.size(); ++k) {
     auto chunk = world.child(world.root(), k);
@@ -380,7 +382,7 @@ Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, 
   }
   if (auto fit = check(world, settings, top); !fit) return fit.error();
   if (!source) source = makeFileSource(world);
-  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top);
+  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top, std::move(now));
   if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
   return std::unique_ptr<Streamer>(std::move(streamer));
 } catch (const std::system_error& e) {

@@ -10,6 +10,7 @@
 
 #include "formats/read/reader.h"
 #include "stream/observers.h"
+#include "stream/rate_limit.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -32,6 +33,7 @@ struct StreamSettings {
   float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
   uint64_t ahead_bytes = uint64_t{4} << 20;     // of memory_bytes, at most, for what is read ahead
   uint64_t hint_bytes = uint64_t{16} << 20;     // of memory_bytes, at most, for what expect() names
+  uint64_t read_bytes_per_second = 0;           // of strips, at most (rate_limit.h); 0: no limit. create() is not held up, and the index comes on top
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 
@@ -39,6 +41,7 @@ struct StreamStats {
   uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
+  uint64_t reads_held = 0;   // that began later than they could have, for read_bytes_per_second
   uint32_t late_tiles = 0;   // wanted by the last update() and not active
   uint32_t ahead_tiles = 0;  // that the observer's path will want: read ahead, or to be
 };
@@ -46,8 +49,9 @@ struct StreamStats {
 class Streamer {
  public:
   // The world must outlive the streamer. source: null takes the world's own shards (io_uring, else threads; probed).
+  // now: the time that read_bytes_per_second counts by; called on any thread.
   static Result<std::unique_ptr<Streamer>> create(const formats::World& world, const StreamSettings& settings,
-                                                  std::unique_ptr<TileSource> source = nullptr);
+                                                  std::unique_ptr<TileSource> source = nullptr, Now now = std::chrono::steady_clock::now);
   virtual ~Streamer() = default;
 
   // By an observer's velocity, and by how it turns, its path is foretold and read ahead; each keeps its number from call to call. Budgets are of all

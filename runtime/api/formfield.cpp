@@ -97,6 +97,7 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   streaming.memory_bytes = s.memory_bytes;
   streaming.kept_bytes = s.kept_bytes;
   streaming.hint_bytes = s.hint_bytes;
+  streaming.read_bytes_per_second = s.read_bytes_per_second;
   streaming.max_level0_nodes = s.max_patches;
   streaming.max_nodes = s.max_nodes;
   streaming.decode_threads = static_cast<int>(s.decode_threads);
@@ -188,7 +189,7 @@ Result<std::unique_ptr<Generation>> FormfieldWorld_T::openGeneration(SolverChoic
   FormfieldWorldSettings cut = settings;
   takeCut(*recommended, cut);
   if (cut.radius_m == 0) cut.radius_m = kRadiusCells * opened->info().cell_m;
-  GenerationSettings with{streamSettings(cut), {.frames = device.fades() ? settings.fade_frames : 0}, {}};
+  GenerationSettings with{streamSettings(cut), {.frames = device.fades() ? settings.fade_frames : 0}, {}, settings.max_applied_tiles};
   if (settings.probes > 0) {
     with.probes.emplace();
     with.probes->rays = settings.probe_rays;
@@ -212,12 +213,11 @@ void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   reloader->follow(now);
   if (leaving || !reloader->ready()) return;
   leaving = std::exchange(shown, reloader->take());
-  Vec3 by;  // from one origin to the other
-  for (uint32_t a = 0; a < 3; ++a) by[static_cast<int>(a)] = static_cast<float>(leaving->world->info().origin[a] - world().info().origin[a]);
-  now = now.moved(by);
+  const Vec3 step = originStep(leaving->world->info(), world().info());
+  now = now.moved(step);
   std::array<stream::Hint, stream::kMaxObservers> hints;
   const auto expected = leaving->streamer->expected();
-  std::ranges::transform(expected, hints.begin(), [&](const stream::Hint& hint) { return stream::Hint{hint.at + by, hint.due}; });
+  std::ranges::transform(expected, hints.begin(), [&](const stream::Hint& hint) { return stream::Hint{hint.at + step, hint.due}; });
   shown->streamer->expect(std::span(hints).first(expected.size()));
   updater().goOnFrom(leaving->updater);
   const stream::StreamStats strips = leaving->streamer->stats();
@@ -226,6 +226,7 @@ void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   strips_before.evicted += strips.evicted;
   strips_before.cancelled += strips.cancelled;
   strips_before.failed += strips.failed;
+  strips_before.reads_held += strips.reads_held;
   if (leaving->probes) {
     const ProbeStats probes = leaving->probes->stats();
     probes_before.traced += probes.traced;
@@ -243,6 +244,7 @@ stream::StreamStats FormfieldWorld_T::streamStats() const {
   stats.evicted += strips_before.evicted;
   stats.cancelled += strips_before.cancelled;
   stats.failed += strips_before.failed;
+  stats.reads_held += strips_before.reads_held;
   return stats;
 }
 
@@ -673,6 +675,9 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.ahead_tiles = s.ahead_tiles;
     report.light_zeroed = w.light_zeroed;
     report.light_repaired = w.repaired_before + w.solver.solver->repaired();
+    report.applied_tiles = f.applied_tiles;
+    report.waiting_tiles = f.waiting_tiles;
+    report.reads_held = s.reads_held;
     report.reloads = w.reloads;
     report.reload_failures = w.reloader ? w.reloader->failures() : 0;
     report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);

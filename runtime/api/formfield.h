@@ -98,6 +98,9 @@ typedef struct FormfieldWorldSettings {
                                   earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
   uint32_t logged_frames;      /* the last so many frames are kept, 64 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
   uint64_t hint_bytes;         /* of memory_bytes, at most, for what formfieldExpect names */
+  uint64_t read_bytes_per_second; /* of strips, at most; 0: no limit. The nearest come first; the index (1 % of that) and the coarsest level come on top */
+  uint32_t max_applied_tiles;  /* that enter a frame's matrix and light, at most, the nearest first; 0: no limit. The first frame, formfieldSettle, a re-bake and,
+                                  rarely, slots that are given out anew take all at once */
   float reload_seconds;        /* so often the world's file is looked at (one stat; behind a web server, one request for a byte), and when it was
                                   baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
 } FormfieldWorldSettings;
@@ -289,6 +292,8 @@ typedef struct FormfieldStats {
   uint64_t samples_refused; /* points answered with zero: they or their normals are not finite, or 0 */
   double frame_ms_p50, frame_ms_p99, frame_ms_max; /* of the frames that are kept: what the frame's thread took but for the solver; half of them at most, ... */
   uint32_t late_tiles, ahead_tiles;            /* wanted and not there yet; read ahead, or on the way, for where the observers will be */
+  uint32_t applied_tiles, waiting_tiles;       /* entered in the last frame; loaded, and kept back by max_applied_tiles */
+  uint64_t reads_held;                         /* reads that began later than they could have, for read_bytes_per_second */
   uint32_t reloads, reload_failures;           /* re-bakes that were taken up; attempts that failed, each with another line */
 } FormfieldStats;
 
