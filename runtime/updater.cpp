@@ -33,8 +33,14 @@ Error noLight(std::string place, const char* why) {
 
 }  // namespace
 
-Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade)
-    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background), fade_(fade) {
+Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
+  Vec3 step;
+  for (int a = 0; a < 3; ++a) step[a] = static_cast<float>(from.origin[static_cast<size_t>(a)] - to.origin[static_cast<size_t>(a)]);
+  return step;
+}
+
+Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles)
+    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background), fade_(fade), budget_(world, max_applied_tiles) {
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->reserve(kMaxSlots);
   tiles_before_.reserve(kMaxSlots / 16);
@@ -99,7 +105,7 @@ std::string Updater::nameOf(uint32_t slot) const {
 
 Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterations) {
   const auto start = Clock::now();
-  light_zeroed_ = 0;
+  light_zeroed_ = applied_tiles_ = 0;
   // What a frame takes, over a few of them; a pause is none.
   const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(start - frame_began_).count(), kLongestFrame);
   frame_began_ = start;
@@ -116,6 +122,8 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   FrameStats stats = counts_;
   stats.matrix_changed = *changed;
   stats.light_zeroed = light_zeroed_;
+  stats.applied_tiles = applied_tiles_;
+  stats.waiting_tiles = budget_.waiting();
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(matrix(), source_, observers);
@@ -125,12 +133,91 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   return stats;
 }
 
+Result<void> Updater::prepare(const formats::WorldInfo& before) {
+  for (int turn = 0; turn < 2; ++turn) {  // asks for it; takes it up
+    if (auto built = cut_.next(streamer_.active()); !built) return built;
+    cut_.await();
+  }
+  const LocalMatrix& m = matrix();
+  for (auto* tiles : {&whole_.entered, &whole_.rows}) tiles->reserve(m.tiles.size());
+  // The pages of these are the system's to find now, not within a frame.
+  for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->assign(m.slots(), {});
+  for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->assign(m.slots(), {});
+  names_.clear();
+  for (uint32_t t = 0; t < m.tiles.size(); ++t) names_.push_back({m.tiles[t].id.level, m.packed[t].strip->tile.name(), t});
+  std::ranges::sort(names_, {}, &Named::key);
+  lamp_before_.clear();
+  for (const formats::LampGroup& group : world_.info().lamp_groups) {
+    const auto at = std::ranges::find(before.lamp_groups, group.name, &formats::LampGroup::name);
+    lamp_before_.push_back(at == before.lamp_groups.end() ? formats::kNoLampGroup : static_cast<uint32_t>(at - before.lamp_groups.begin()));
+  }
+  from_before_ = originStep(before, world_.info());
+  return {};
+}
+
+void Updater::goOnFrom(Updater& before) {
+  sky_ = before.sky_;
+  ambient_ = before.ambient_;
+  direct_light_ = std::move(before.direct_light_);
+  for (uint32_t group = 0; group < lamp_before_.size(); ++group)
+    if (lamp_before_[group] != formats::kNoLampGroup) lamps_.set(group, before.lamps_.scale(lamp_before_[group]));
+  sky_changed_ = light_changed_ = lamps_changed_ = true;
+  emission_change_ = before.emission_change_;
+  frame_began_ = before.frame_began_;
+  frame_seconds_ = before.frame_seconds_;
+  takeLight(before);
+  started_ = missed_ = true;
+}
+
+// Into before_, by slot.
+void Updater::takeLight(Updater& before) {
+  const LocalMatrix &from = before.matrix(), &m = matrix();
+  std::vector<Vec4>& old = before.radiosity_;
+  if (before.isTakenUp()) {
+    if (!solver_.radiosity(old)) std::ranges::fill(old, Vec4{});
+  } else {
+    old.assign(before.before_.begin(), before.before_.end());
+  }
+  constexpr Vec4 kUnknown{-1, 0, 0, 0};  // which no light is
+  before_.assign(m.slots(), kUnknown);
+  if (old.size() != from.slots()) return before_.assign(m.slots(), {});  // it has had no frame
+  for (size_t t = 0; t < from.tiles.size(); ++t) {
+    const stream::ResidentStrip& strip = *from.packed[t].strip;
+    const Named name{from.tiles[t].id.level, strip.tile.name(), 0};
+    const auto at = std::ranges::lower_bound(names_, name.key(), {}, &Named::key);
+    if (at == names_.end() || at->key() != name.key()) continue;
+    const stream::ResidentStrip& strip_now = *m.packed[at->tile].strip;
+    const auto& now = strip_now.nodes;
+    const auto first_old = old.begin() + from.tiles[t].first_slot, first_new = before_.begin() + m.tiles[at->tile].first_slot;
+    if (from_before_ == Vec3{} && strip.tile.info().strip.checksum == strip_now.tile.info().strip.checksum) {  // the same bytes
+      std::copy_n(first_old, now.size(), first_new);
+      continue;
+    }
+    const float near_m = world_.levels()[name.level].cell_m / 2;
+    for (uint32_t i = 0; i < std::min(now.size(), strip.nodes.size()); ++i)
+      if (length(strip.nodes[i].centroid + from_before_ - now[i].centroid) < near_m) first_new[i] = first_old[i];
+  }
+  Vec4 light, albedo;
+  for (const uint32_t s : from.leaves) {
+    const Vec4 area{from.area_m2[s], from.area_m2[s], from.area_m2[s], 0};
+    light = light + old[s] * area;
+    albedo = albedo + from.albedo[s] * area;
+  }
+  for (size_t t = m.tiles.size(); t-- > 0;)  // parents first
+    for (uint32_t slot = m.tiles[t].first_slot, end = slot + m.tiles[t].nodes; slot < end; ++slot) {
+      if (before_[slot].x >= 0) continue;
+      const uint32_t parent = m.parent_slot[slot];
+      before_[slot] = parent != kNoSlot ? before_[parent] : onAlbedo(light, albedo, m.albedo[slot], {});
+    }
+}
+
 // Whether the matrix has changed.
 Result<bool> Updater::followCut() {
   const bool whole = std::exchange(await_cut_, false) || !started_;
   bool changed = false;
   if (whole) fade_.finish();
-  const std::span<const stream::StripPtr> wanted = fade_.cut(streamer_.active());
+  const std::span<const stream::StripPtr> all = fade_.cut(streamer_.active());
+  const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {
     if (whole) cut_.await();
     const auto& tiles = matrix().tiles;
@@ -148,7 +235,7 @@ Result<void> Updater::takeUpChange() {
   const MatrixChange& change = cut_.change();
   Result<void> read;
   const bool carry = started_ && (change.renumbered || missed_);
-  if (carry) {
+  if (carry && change.any) {
     if (missed_) {
       radiosity_.assign(before_.begin(), before_.end());
     } else if (read = solver_.radiosity(radiosity_); !read) {  // radiosity_ has the size of the matrix before
@@ -158,6 +245,7 @@ Result<void> Updater::takeUpChange() {
     carryOver(tiles_before_, radiosity_, m, before_);
   }
   started_ = true;
+  applied_tiles_ += static_cast<uint32_t>(change.entered.size());
   for (auto* per_slot : {&source_, &emission_, &radiosity_}) per_slot->resize(m.slots());
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->resize(m.slots());
   if (change.renumbered)

@@ -5,7 +5,10 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <tuple>
+#include <vector>
 
+#include "runtime/cut/cut_budget.h"
 #include "runtime/cut/cut_builder.h"
 #include "runtime/cut/cut_fade.h"
 #include "runtime/lamps.h"
@@ -25,18 +28,24 @@ struct FrameStats {
   uint32_t slots = 0, leaves = 0, level0_leaves = 0;
   uint64_t entries = 0;
   bool matrix_changed = false;
+  uint32_t applied_tiles = 0;  // that entered the matrix in this frame
+  uint32_t waiting_tiles = 0;  // that are there and wait for their turn to enter
   uint32_t light_zeroed =
       0;  // values of DirectLight, and sources made of them, that were no light and were taken for zero
   double stream_ms = 0, matrix_ms = 0, solve_ms = 0;
 };
 
+// What to add to a place of one world to have it in the coordinates of another, m.
+Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to);
+
 class Updater {
  public:
   // All three must outlive the updater. background: the matrix of a new cut is put together on a thread of its own and taken up a frame or two later,
   // whole; else within the frame. fade: over how many frames light follows a change of the cut (cut_fade.h, Solver::ease); by default at
-  // once. Tiles are then wanted so much earlier, by the time that frames take.
+  // once. Tiles are then wanted so much earlier, by the time that frames take. max_applied_tiles: that enter in a frame, at most (cut_budget.h); 0: no limit. A frame that waits
+  // (awaitCut), the first one, and one that gives out all slots anew, for want of consecutive ones, take all.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
-          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {});
+          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {}, uint32_t max_applied_tiles = 0);
   // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
   // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
@@ -56,6 +65,15 @@ class Updater {
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(const stream::Observers& observers, int iterations);
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations) { return frame(stream::Observers(stream::Observer{observer, velocity}), iterations); }
+  // These two are for a re-bake of a world that is shown (reload.h), before the first frame. prepare(): on any thread; puts together the matrix of the
+  // streamer's active tiles, and what goOnFrom() needs to know of the world shown until now.
+  Result<void> prepare(const formats::WorldInfo& before);
+  // Takes the place of an updater with the same solver, which is not used any more: goes on with its direct light, its sky, its switches of lamps (by their
+  // groups' names; new ones are as baked), and with what its nodes reflect, where there is one of the same name in the same place. Others start from
+  // their nearest ancestor that has, else with the mean irradiance of all. Allocates nothing.
+  void goOnFrom(Updater& before);
+  // Whether the solver has what the last frame brought; else it may still look at what an updater before has.
+  bool isTakenUp() const { return started_ && !missed_; }
   // The next frame waits until the matrix is that of the streamer's active tiles, and light need not follow any more.
   void awaitCut() { await_cut_ = true; }
   // Until one step more changes no channel by more than `tolerance` times the largest radiosity, or max_iterations.
@@ -84,6 +102,7 @@ class Updater {
   Result<bool> followCut();
   Result<void> takeUpChange();
   const MatrixChange& wholeMatrix();
+  void takeLight(Updater& before);
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;
@@ -97,6 +116,7 @@ class Updater {
   DirectLight direct_light_;
   CutBuilder cut_;
   CutFade fade_;
+  CutBudget budget_;
   Vec3 ambient_;
   stream::Observers observers_;
   std::vector<Vec4> source_, emission_;   // per slot
@@ -110,10 +130,20 @@ class Updater {
   float frame_seconds_ = 0;
   bool await_cut_ = false;
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
+  // Of prepare().
+  struct Named {
+    uint32_t level;
+    formats::TileName name;
+    uint32_t tile;  // number in LocalMatrix::tiles
+    auto key() const { return std::tuple(level, name.chunk, name.tile); }
+  };
+  std::vector<Named> names_;           // by key()
+  std::vector<uint32_t> lamp_before_;  // by lamp group: the one of its name in the world before, kNoLampGroup: none
+  Vec3 from_before_;                   // between the two worlds' origins, m
   MatrixChange whole_;
   const MatrixChange* told_ = &whole_;
   bool started_ = false, sky_changed_ = false, light_changed_ = false, lamps_changed_ = false;
-  uint32_t light_zeroed_ = 0;  // in this frame
+  uint32_t light_zeroed_ = 0, applied_tiles_ = 0;  // in this frame
   std::string light_fault_;
 };
 

@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <span>
 
@@ -16,6 +17,13 @@ struct Observer {
 };
 
 inline constexpr size_t kMaxObservers = 16;
+
+// Where an observer will be, other than by its velocity: a teleport, a cut scene, a spawn point.
+struct Hint {
+  Vec3 at;  // m
+  std::chrono::steady_clock::time_point due;
+};
+inline constexpr std::chrono::seconds kHintStays{5};  // beyond its time
 
 // 1 to kMaxObservers of them; takes no memory.
 class Observers {
@@ -33,6 +41,11 @@ class Observers {
   const Observer& operator[](size_t i) const { return list_[i]; }
   friend bool operator==(const Observers& a, const Observers& b) { return std::ranges::equal(a, b); }
 
+  Observers moved(Vec3 by_m) const {
+    Observers moved = *this;
+    for (size_t i = 0; i < count_; ++i) moved.list_[i].at += by_m;
+    return moved;
+  }
   // Of the nearest one, where it will be after so many seconds, m.
   float distance(const Box& bounds, float seconds = 0) const {
     float nearest = bounds.distance(list_[0].at + list_[0].velocity * seconds);

@@ -77,11 +77,16 @@ PathPlanner::~PathPlanner() {
   thread_.join();
 }
 
-void PathPlanner::aim(const Observers& observers, float latency_seconds) {
+void PathPlanner::aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, float lead_seconds) {
   if (!thread_.joinable()) return;
   {
     const std::lock_guard lock(mutex_);
-    aim_ = {observers, latency_seconds, Clock::now()};
+    aim_.observers = observers;
+    aim_.latency_seconds = latency_seconds;
+    aim_.lead_seconds = lead_seconds;
+    aim_.at = Clock::now();
+    aim_.hint_count = hints.size();
+    std::ranges::copy(hints, aim_.hints.begin());
     aims_.fetch_add(1);
   }
   aims_.notify_one();
@@ -135,7 +140,7 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
   paths_.clear();
   const float since = std::chrono::duration<float>(aim.at - std::exchange(aimed_at_, aim.at)).count();
   const float seconds = std::min(settings_.ahead_seconds + kLatencies * aim.latency_seconds, kMaxSeconds);
-  for (size_t i = 0; i < aim.observers.size(); ++i) {
+  for (size_t i = 0; settings_.ahead_seconds > 0 && i < aim.observers.size(); ++i) {
     const Observer& observer = aim.observers[i];
     const float speed = length(observer.velocity);
     const Vec3 turn = turn_rate_[i].follow(observer.velocity, since);
@@ -145,11 +150,18 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
     paths_.push_back({foretoldPath(observer.at, observer.velocity, turn, seconds, steps), seconds / static_cast<float>(steps),
                       speed * (2 * aim.latency_seconds + kFrameSeconds), speed});
   }
-  if (paths_.empty()) return;
+  observers_ = aim.observers;
+  margin_m_ = 0;
+  for (const Observer& observer : aim.observers) margin_m_ = std::max(margin_m_, length(observer.velocity) * aim.lead_seconds);
+  places_.clear();
+  for (const Hint& hint : std::span(aim.hints).first(aim.hint_count))
+    places_.push_back({hint.at, std::max(0.0f, std::chrono::duration<float>(hint.due - aim.at).count())});
+  if (paths_.empty() && places_.empty()) return;
   for (const formats::ChunkPtr& chunk : top_)
     for (uint32_t t = 0; t < chunk->tiles.size(); ++t) visit(*chunk, t, plan);
   std::sort(plan.tiles.begin(), plan.tiles.end(), [](const Ahead& a, const Ahead& b) {
     if (a.seconds != b.seconds) return a.seconds < b.seconds;
+    if (a.nearness != b.nearness) return a.nearness < b.nearness;
     return a.id.level != b.id.level ? a.id.level > b.id.level : a.id.tile < b.id.tile;
   });
   if (plan.tiles.size() > kMaxTiles) plan.tiles.resize(kMaxTiles);
@@ -174,18 +186,35 @@ float PathPlanner::secondsTo(const Box& bounds, uint32_t level) const {
   return soonest;
 }
 
+float PathPlanner::hintedIn(const Box& bounds, uint32_t level, float& nearness) const {
+  float soonest = kNever;
+  for (const Place& place : places_) {
+    const float away_m = bounds.distance(place.at), near = away_m / radius_m_[level];
+    if (!(away_m < radius_m_[level] + margin_m_) || place.seconds > soonest) continue;
+    nearness = place.seconds < soonest ? near : std::min(nearness, near);
+    soonest = place.seconds;
+  }
+  return soonest;
+}
+
 void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) {
   const TileInfo& info = chunk.tiles[tile];
   if (info.id.level == 0) return;
   const uint32_t level = info.id.level - 1, child = chunk.childWith(info.first_child);
-  if (secondsTo(chunk.children[child].bounds, level) == kNever) return;
+  float nearness = 0;
+  if (secondsTo(chunk.children[child].bounds, level) == kNever && hintedIn(chunk.children[child].bounds, level, nearness) == kNever) return;
   const formats::Chunk* below = look(chunk, child, plan);
   if (!below) return;
   for (uint32_t t = info.first_child - below->firstTile(); t < info.end_child - below->firstTile(); ++t) {
     const TileInfo& of = below->tiles[t];
-    const float seconds = secondsTo(of.bounds, level);
-    if (seconds == kNever) continue;
-    if (std::ranges::none_of(paths_, [&](const Path& path) { return of.bounds.distance(path.at[0]) < radius_m_[level]; })) plan.tiles.push_back({seconds, residentBytesBound(world_, of), of.id, below});
+    Ahead ahead{secondsTo(of.bounds, level), 0, of.id, below};
+    if (ahead.seconds == kNever) {
+      ahead.seconds = hintedIn(of.bounds, level, ahead.nearness);
+      ahead.hinted = true;
+    }
+    if (ahead.seconds == kNever) continue;
+    ahead.bytes = residentBytesBound(world_, of);
+    if (observers_.distance(of.bounds) >= radius_m_[level]) plan.tiles.push_back(ahead);  // else it is wanted now
     visit(*below, t, plan);
   }
 }

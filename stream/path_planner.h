@@ -2,6 +2,7 @@
 // a shell around the radius for turns that nothing foretells. Planned on a thread of its own, which also reads the index of what lies
 // there; so a frame only takes the list.
 #pragma once
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdint>
@@ -38,9 +39,11 @@ class PathPlanner {
     uint64_t bytes = 0;  // residentBytesBound()
     formats::TileId id;
     const formats::Chunk* chunk = nullptr;  // in Plan::chunks
+    bool hinted = false;   // nothing but a hint says so
+    float nearness = 0;    // of what is hinted: distance over radius
   };
   struct Plan {
-    std::vector<Ahead> tiles;  // the soonest first, coarser ones first where it is the same
+    std::vector<Ahead> tiles;  // the soonest first; where it is the same, the nearest, coarser ones first
     struct Named {
       formats::TileId id;
       uint32_t rank = 0;  // number in `tiles`
@@ -55,7 +58,8 @@ class PathPlanner {
 
   // The frame's: they allocate and free nothing.
   // latency_seconds: that reads take at present.
-  void aim(const Observers& observers, float latency_seconds);
+  // hints: kMaxObservers at most; lead_seconds: as WantedTiles::walk. So far an observer who goes on as fast as the fastest wants more there, in whatever direction.
+  void aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, float lead_seconds);
   // Whether take() has something new; no lock.
   bool fresh() const { return fresh_.load(); }
   // The newest plan, for one that is given back.
@@ -67,8 +71,10 @@ class PathPlanner {
   using Clock = std::chrono::steady_clock;
   struct Aim {
     Observers observers;
-    float latency_seconds = 0;
+    float latency_seconds = 0, lead_seconds = 0;
     Clock::time_point at;
+    std::array<Hint, kMaxObservers> hints;
+    size_t hint_count = 0;
   };
   struct Here {
     formats::ChunkPtr chunk;
@@ -80,6 +86,8 @@ class PathPlanner {
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child, Plan& plan);
   void visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan);
   float secondsTo(const Box& bounds, uint32_t level) const;
+  // Until the soonest of the places that are hinted and within whose radius it lies; nearness: as Ahead has it.
+  float hintedIn(const Box& bounds, uint32_t level, float& nearness) const;
 
   const formats::World& world_;
   const StreamSettings settings_;
@@ -96,6 +104,13 @@ class PathPlanner {
   };
   float secondsTo(const Path& path, const Box& bounds, uint32_t level) const;
   std::vector<Path> paths_;  // of those that move
+  struct Place {
+    Vec3 at;
+    float seconds;
+  };
+  std::vector<Place> places_;  // that are hinted
+  float margin_m_ = 0;         // beyond the radius around them
+  Observers observers_;
 
   mutable std::mutex mutex_;
   Aim aim_;

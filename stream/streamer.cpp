@@ -36,21 +36,25 @@ Result<StripPtr> loadNow(const formats::World& world, TileSource& source, const 
 class StreamerImpl final : public Streamer {
  public:
   // top: the coarsest level's chunks.
-  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top)
+  StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top, Now now)
       : world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
         cache_(settings.memory_bytes, settings.kept_bytes, wanted_.maxWanted() + kMoreCached),
         source_(std::move(source)),
-        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted() + PathPlanner::kMaxTiles, wanted_.maxWanted() + kMoreCached),
+        loader_(world, *source_, settings.queue_depth, settings.decode_threads, wanted_.maxWanted() + PathPlanner::kMaxTiles, wanted_.maxWanted() + kMoreCached,
+                RateLimit(settings.read_bytes_per_second), std::move(now)),
         ahead_bytes_(settings.ahead_bytes),
+        hint_bytes_(settings.hint_bytes),
         memory_bytes_(settings.memory_bytes) {
-    if (settings.ahead_seconds > 0) planner_.emplace(world, settings, top);
+    if (settings.ahead_seconds > 0 || settings.hint_bytes > 0) planner_.emplace(world, settings, top);
     for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
     failures_.reserve(64);
     chunk_failures_.reserve(64);
     previous_.reserve(wanted_.maxWanted());
     missing_.reserve(wanted_.maxWanted() + PathPlanner::kMaxTiles);
+    is_ahead_.reserve(PathPlanner::kMaxTiles);
+    hints_.reserve(kMaxObservers);
     active_.reserve(wanted_.maxWanted());
     next_active_.reserve(wanted_.maxWanted());
   }
@@ -74,7 +78,8 @@ class StreamerImpl final : public Streamer {
   bool update(const Observers& observers) override {
     const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_seconds_ > 0 && turned);
     const bool retries = isRetryDue();
-    if (planner_ && (moved || turned)) planner_->aim(observers, loader_.latencySeconds());
+    const bool hinted = std::exchange(hinted_, false) || forgetHints();
+    if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_seconds_);
     const bool planned = planner_ && planner_->fresh();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
@@ -83,10 +88,17 @@ class StreamerImpl final : public Streamer {
     if (planned) index_grew |= takePlan();
     if (moved || index_grew || retries) walk();
     limitAhead();
+    cache_.trim(loader_.retired());
     queueMissing();
     return chooseActive();
   }
 
+  void expect(std::span<const Hint> hints) override {
+    FF_CHECK_LE(hints.size(), kMaxObservers);
+    hints_.assign(hints.begin(), hints.end());
+    hinted_ = true;
+  }
+  std::span<const Hint> expected() const override { return hints_; }
   void setLead(float seconds) override { lead_seconds_ = std::clamp(seconds, 0.0f, 1.0f); }
   std::span<const StripPtr> active() const override { return active_; }
 
@@ -104,6 +116,7 @@ class StreamerImpl final : public Streamer {
     StreamStats stats = stats_;
     stats.evicted = cache_.evicted();
     stats.cancelled = loader_.cancelled();
+    stats.reads_held = loader_.readsHeld();
     stats.resident_bytes = cache_.bytes();
     stats.peak_resident_bytes = cache_.peakBytes();
     stats.resident_tiles = cache_.tiles();
@@ -163,8 +176,10 @@ class StreamerImpl final : public Streamer {
   bool takePlan() {
     planner_->take(next_plan_);
     // Tiles that the new plan has no more, too.
-    for (const PathPlanner::Ahead& tile : std::span(plan_->tiles).first(std::exchange(ahead_, 0))) dropAhead(tile.id);
+    for (size_t rank = 0; rank < is_ahead_.size(); ++rank)
+      if (std::exchange(is_ahead_[rank], 0)) dropAhead(plan_->tiles[rank].id);
     std::swap(plan_, next_plan_);
+    is_ahead_.assign(plan_->tiles.size(), 0);
     bool index_grew = false;
     for (const formats::ChunkPtr& chunk : plan_->chunks) {
       if (wanted_.has(chunk->tiles[0].id)) continue;
@@ -174,18 +189,36 @@ class StreamerImpl final : public Streamer {
     return index_grew;
   }
 
-  // As much of the plan, the soonest first, as there is memory for beside what is wanted.
+  // As much of the plan, the soonest first, as there is memory for beside what is wanted; of paths and of hints each within its budget.
   void limitAhead() {
-    const uint64_t room = std::min(ahead_bytes_, memory_bytes_ - std::min(memory_bytes_, wanted_.bytes()));
-    uint64_t bytes = 0;
-    size_t fit = 0;
-    while (fit < plan_->tiles.size() && bytes + plan_->tiles[fit].bytes <= room) bytes += plan_->tiles[fit++].bytes;
-    while (ahead_ > fit) dropAhead(plan_->tiles[--ahead_].id);
-    while (ahead_ < fit) cache_.setWanted(plan_->tiles[ahead_++].id, true);
+    uint64_t room = memory_bytes_ - std::min(memory_bytes_, wanted_.bytes());
+    uint64_t left[] = {ahead_bytes_, hint_bytes_};
+    ahead_ = 0;
+    for (size_t rank = 0; rank < plan_->tiles.size(); ++rank) {
+      const PathPlanner::Ahead& tile = plan_->tiles[rank];
+      uint64_t& budget = left[tile.hinted];
+      const bool fits = tile.bytes <= std::min(budget, room);
+      if (fits) {
+        budget -= tile.bytes;
+        room -= tile.bytes;
+        ++ahead_;
+      } else {
+        budget = 0;  // nothing that is wanted later takes its place
+      }
+      if (std::exchange(is_ahead_[rank], fits) == fits) continue;
+      if (fits)
+        cache_.setWanted(tile.id, true);
+      else
+        dropAhead(tile.id);
+    }
   }
   bool isAhead(TileId id) const {
     const auto at = std::ranges::lower_bound(plan_->by_id, id, {}, &PathPlanner::Plan::Named::id);
-    return at != plan_->by_id.end() && at->id == id && at->rank < ahead_;
+    return at != plan_->by_id.end() && at->id == id && is_ahead_[at->rank];
+  }
+  // Whether there were any to forget.
+  bool forgetHints() {
+    return !hints_.empty() && std::erase_if(hints_, [now = Clock::now()](const Hint& hint) { return now > hint.due + kHintStays; }) > 0;
   }
   void dropAhead(TileId id) {
     if (!wanted_.isWanted(id)) cache_.setWanted(id, false);
@@ -202,7 +235,6 @@ class StreamerImpl final : public Streamer {
       cache_.setWanted(tile.id, true);
       previous_.push_back(tile.id);
     }
-    cache_.trim(loader_.retired());
     wanted_.forget(loader_.retired());
   }
 
@@ -211,8 +243,9 @@ class StreamerImpl final : public Streamer {
     missing_.clear();
     for (const WantedTiles::Tile& tile : wanted_.wanted())
       if (isMissing(tile.id)) missing_.push_back({observers_.distance(tile.info().bounds, kAimSeconds) / wanted_.radius(tile.id.level), tile});
-    for (const PathPlanner::Ahead& tile : std::span(plan_->tiles).first(ahead_))
-      if (isMissing(tile.id) && !wanted_.isWanted(tile.id)) missing_.push_back({kAheadNeed + tile.seconds, {tile.id, tile.chunk}});
+    for (size_t rank = 0; rank < is_ahead_.size(); ++rank)
+      if (const PathPlanner::Ahead& tile = plan_->tiles[rank]; is_ahead_[rank] && isMissing(tile.id) && !wanted_.isWanted(tile.id))
+        missing_.push_back({kAheadNeed + tile.seconds, {tile.id, tile.chunk}});
     forgetFailures();
     for (const ChunkRequest& request : wanted_.missingChunks())
       if (!isGivenUp(chunk_failures_, request.id())) loader_.chunkQueue().push_back(request);
@@ -299,10 +332,13 @@ class StreamerImpl final : public Streamer {
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // its reads end before the source goes
   float lead_seconds_ = 0;
-  const uint64_t ahead_bytes_, memory_bytes_;
+  const uint64_t ahead_bytes_, hint_bytes_, memory_bytes_;
+  std::vector<Hint> hints_;
+  bool hinted_ = false;  // hints_ are others than the planner has
   std::optional<PathPlanner> planner_;
   std::unique_ptr<PathPlanner::Plan> plan_ = std::make_unique<PathPlanner::Plan>(), next_plan_ = std::make_unique<PathPlanner::Plan>();
-  size_t ahead_ = 0;  // tiles of plan_ that there is memory for: kept and read
+  std::vector<uint8_t> is_ahead_;  // by number in plan_->tiles: there is memory for it, so that it is kept and read
+  size_t ahead_ = 0;               // so many of them
 };
 
 Result<void> check(const formats::World& world, const StreamSettings& s, std::span<const formats::ChunkPtr> top) {
@@ -337,7 +373,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
 }  // namespace
 
 Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
-                                                   std::unique_ptr<TileSource> source) try {
+                                                   std::unique_ptr<TileSource> source, Now now) try {
   std::vector<formats::ChunkPtr> top;
   for (uint32_t k = 0; k < world.root()->children.size(); ++k) {
     auto chunk = world.child(world.root(), k);
@@ -346,7 +382,7 @@ Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, 
   }
   if (auto fit = check(world, settings, top); !fit) return fit.error();
   if (!source) source = makeFileSource(world);
-  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top);
+  auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top, std::move(now));
   if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
   return std::unique_ptr<Streamer>(std::move(streamer));
 } catch (const std::system_error& e) {

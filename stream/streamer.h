@@ -10,6 +10,7 @@
 
 #include "formats/read/reader.h"
 #include "stream/observers.h"
+#include "stream/rate_limit.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -31,6 +32,8 @@ struct StreamSettings {
   int queue_depth = 16;                         // reads at a time: what flies at 80 m/s wants some 150 a second, also where each takes 0.1 s
   float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
   uint64_t ahead_bytes = uint64_t{4} << 20;     // of memory_bytes, at most, for what is read ahead
+  uint64_t hint_bytes = uint64_t{16} << 20;     // of memory_bytes, at most, for what expect() names
+  uint64_t read_bytes_per_second = 0;           // of strips, at most (rate_limit.h); 0: no limit. create() is not held up, and the index comes on top
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
 };
 
@@ -38,6 +41,7 @@ struct StreamStats {
   uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
+  uint64_t reads_held = 0;   // that began later than they could have, for read_bytes_per_second
   uint32_t late_tiles = 0;   // wanted by the last update() and not active
   uint32_t ahead_tiles = 0;  // that the observer's path will want: read ahead, or to be
 };
@@ -45,14 +49,19 @@ struct StreamStats {
 class Streamer {
  public:
   // The world must outlive the streamer. source: null takes the world's own shards (io_uring, else threads; probed).
+  // now: the time that read_bytes_per_second counts by; called on any thread.
   static Result<std::unique_ptr<Streamer>> create(const formats::World& world, const StreamSettings& settings,
-                                                  std::unique_ptr<TileSource> source = nullptr);
+                                                  std::unique_ptr<TileSource> source = nullptr, Now now = std::chrono::steady_clock::now);
   virtual ~Streamer() = default;
 
   // By an observer's velocity, and by how it turns, its path is foretold and read ahead; each keeps its number from call to call. Budgets are of all
   // together: where they run out, the same smaller radius is everybody's. Returns true if the active set has changed.
   virtual bool update(const Observers& observers) = 0;
   bool update(Vec3 observer, Vec3 velocity) { return update(Observers(Observer{observer, velocity})); }
+  // Places where observers will be, kMaxObservers at most: what is wanted there is read ahead, the nearest deadline first, within hint_bytes and what memory
+  // is left. Replaces those before; each is forgotten kHintStays after its time.
+  virtual void expect(std::span<const Hint> hints) = 0;
+  virtual std::span<const Hint> expected() const = 0;
   // From the next update() on a tile is wanted so long before an observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
   virtual void setLead(float seconds) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile

@@ -18,6 +18,7 @@ namespace {
 bool isAfter(uint32_t a, uint32_t b) { return static_cast<int32_t>(a - b) > 0; }
 
 constexpr const char* kOutOfMemory = "out of memory";  // short enough for a string to need none
+constexpr std::chrono::milliseconds kHeldLook{2};      // whether the limit lets the next read begin
 constexpr size_t kMaxChunks = 1024;                    // asked for at once; more wait for the next time
 constexpr size_t kMaxArrivedChunks = 64;               // that wait to be taken
 
@@ -39,10 +40,12 @@ Result<StripPtr> readResident(const formats::World& world, const TileRef& tile) 
 }
 
 StripLoader::StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads,
-                         size_t max_queued, size_t max_retired)
+                         size_t max_queued, size_t max_retired, RateLimit limit, Now now)
     : world_(world),
       source_(source),
-      depth_(static_cast<size_t>(std::max(depth, 1))) {
+      depth_(static_cast<size_t>(std::max(depth, 1))),
+      limit_(limit),
+      now_(std::move(now)) {
   // Lists change places when they are handed over, so each has room for the most that any of them can hold.
   for (Queue* queue : {&next_, &submitted_, &incoming_, &queue_}) {
     queue->tiles.reserve(max_queued);
@@ -151,11 +154,16 @@ void StripLoader::work() {
       decode(*stored);
       continue;
     }
+    bool held = false;
     {
       const std::lock_guard lock(pipeline_mutex_);
       if (stop_) return;
+      held = held_;
     }
-    wake_.wait(seen);
+    if (held)
+      std::this_thread::sleep_for(kHeldLook);
+    else
+      wake_.wait(seen);
   }
 }
 
@@ -206,7 +214,13 @@ void StripLoader::startReads() {
 std::optional<TileRef> StripLoader::nextRead() {
   const std::lock_guard lock(pipeline_mutex_);
   std::optional<TileRef> found;
+  const bool was_held = std::exchange(held_, false);
+  const auto now = now_();
   while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 2 * depth_) {
+    if (!limit_.lets(now)) {
+      held_ = true;
+      break;
+    }
     TileRef tile = std::move(queue_.tiles.back());
     queue_.tiles.pop_back();
     const TileId id = tile.id();
@@ -215,6 +229,8 @@ std::optional<TileRef> StripLoader::nextRead() {
     if (!arrived && std::ranges::find(under_way_, id, &UnderWay::id) == under_way_.end()) found = std::move(tile);
   }
   if (found) {
+    limit_.begin(found->info().strip.stored_bytes, now);
+    reads_held_.fetch_add(was_held);
     under_way_.push_back({*found, std::chrono::steady_clock::now()});
     under_way_count_.fetch_add(1);
     ++reads_;

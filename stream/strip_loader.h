@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "formats/read/reader.h"
+#include "stream/rate_limit.h"
 #include "stream/resident_strip.h"
 #include "stream/tile_source.h"
 
@@ -52,9 +53,9 @@ class StripLoader {
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
   // depth: strips being read or decoded at any time; at most 2 * depth more wait to be taken.
-  // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most.
+  // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most. limit: when strips may be read, at the time `now`.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
-              size_t max_retired);
+              size_t max_retired, RateLimit limit = RateLimit(0), Now now = std::chrono::steady_clock::now);
   // Drops the queue, cancels the reads that are under way and waits for their answers.
   ~StripLoader();
 
@@ -77,6 +78,8 @@ class StripLoader {
   Backlog backlog() const;
   // Tiles that were dropped from the queue after the loader's threads had seen them there.
   uint64_t cancelled() const { return cancelled_.load(); }
+  // Reads that began later than they could have, since the limit did not let them.
+  uint64_t readsHeld() const { return reads_held_.load(); }
   // From the start of a strip's read to its arrival, s: longestOfLate().
   float latencySeconds() const { return latency_seconds_.load(); }
   // The last strip that could not be read or decoded, as a line; empty: none yet. Allocates.
@@ -151,6 +154,9 @@ class StripLoader {
   std::vector<std::shared_ptr<const void>> retired_, incoming_retired_;
   std::deque<Stored> to_decode_;
   Error failure_;
+  RateLimit limit_;
+  const Now now_;
+  bool held_ = false;   // the limit does not let the next read begin: a thread looks again soon
   uint32_t reads_ = 0;  // callbacks still to come
   bool stop_ = false;
   std::atomic<bool> cancel_reads_{false};
@@ -158,7 +164,7 @@ class StripLoader {
   // What is asked for is counted by the next of these before the one before forgets it, so that reading them in this order misses
   // none.
   std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0}, arrived_chunk_count_{0};
-  std::atomic<uint64_t> cancelled_{0};
+  std::atomic<uint64_t> cancelled_{0}, reads_held_{0};
   std::atomic<float> latency_seconds_{0};
   std::atomic<uint32_t> wake_{0}, progress_{0};  // change when there may be work, or something to see
   std::vector<std::thread> threads_;

@@ -19,6 +19,7 @@ struct World::State {
   std::string path, folder;
   StoragePtr storage;
   Manifest manifest;
+  uint64_t checksum = 0;  // of its bytes
   std::vector<ShardInfo> shards;
   // Guards what follows; held while a shard is opened, not while one is read.
   mutable std::mutex mutex;
@@ -61,6 +62,7 @@ Result<World> World::open(const std::string& path, const StoragePtr& given) try 
   state->folder = path.substr(0, path.size() - fileNameOf(path).size());
   state->storage = storage;
   state->manifest = std::move(*manifest);
+  state->checksum = hashBytes(*bytes);
   for (const ShardRecord& record : state->manifest.shards) state->shards.push_back({record.name, record.bytes, record.kind});
   state->files.resize(state->shards.size());
   for (const ChildChunk& chunk : state->manifest.root->children)
@@ -79,6 +81,7 @@ const std::string& World::path() const { return state_->path; }
 const WorldInfo& World::info() const { return state_->manifest.info; }
 std::span<const LevelInfo> World::levels() const { return state_->manifest.levels; }
 std::span<const ShardInfo> World::shards() const { return state_->shards; }
+uint64_t World::checksum() const { return state_->checksum; }
 const ChunkPtr& World::root() const { return state_->manifest.root; }
 
 Result<const StoredFile*> World::State::file(uint32_t shard, const ReadOptions& options) const {
@@ -89,6 +92,12 @@ Result<const StoredFile*> World::State::file(uint32_t shard, const ReadOptions& 
     files[shard] = std::move(*opened);
   }
   return files[shard].get();
+}
+
+Result<void> World::openShards(const ReadOptions& options) const {
+  for (uint32_t shard = 0; shard < state_->shards.size(); ++shard)
+    if (auto file = state_->file(shard, options); !file) return file.error();
+  return {};
 }
 
 Result<int> World::descriptor(uint32_t shard, const ReadOptions& options) const {

@@ -35,6 +35,10 @@ class World {
   std::span<const LevelInfo> levels() const;              // [0] = patches
   uint32_t top() const { return static_cast<uint32_t>(levels().size()) - 1; }  // the coarsest level
   std::span<const ShardInfo> shards() const;
+  // XXH3-64 of the manifest's bytes: other bakes have others.
+  uint64_t checksum() const;
+  // Opens all shards: from then on whatever becomes of their names is nothing to this world. Errors: one that is missing, or not what the manifest says.
+  Result<void> openShards(const ReadOptions& options = {}) const;
   // Of a shard that is opened now if it was not: for asynchronous readers, valid as long as the World lives; never close it. -1: the storage has none.
   Result<int> descriptor(uint32_t shard, const ReadOptions& options = {}) const;
 

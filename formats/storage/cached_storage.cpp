@@ -243,6 +243,7 @@ class CachedStorage final : public ReadOnlyStorage {
     return std::unique_ptr<StoredFile>(std::make_unique<CachedFile>(path, folder_, std::move(fd), header->bytes, below_, std::move(file)));
   }
   Result<bool> exists(const std::string& path) override { return below_->exists(path); }
+  Result<std::string> version(const std::string& path, const ReadOptions& options) override { return below_->version(path, options); }
   std::string warning() const override { return folder_->warning(); }
 
  private:

@@ -8,6 +8,7 @@ class AbsentHttpStorage final : public ReadOnlyStorage {
  public:
   Result<std::unique_ptr<StoredFile>> open(const std::string& path, const ReadOptions&) override { return absent(path); }
   Result<bool> exists(const std::string& path) override { return absent(path); }
+  Result<std::string> version(const std::string& path, const ReadOptions&) override { return absent(path); }
 
  private:
   static Error absent(const std::string& path) {

@@ -335,20 +335,34 @@ class HttpStorage final : public ReadOnlyStorage {
     else if (status == 403 || status == 404 || status == 410) return false;
     else return file.error();
   }
+  Result<std::string> version(const std::string& path, const ReadOptions& options) override {
+    std::vector<std::byte> first(1);
+    uint64_t status = 0;
+    const auto version = fetchFirst(path, first, options, status);
+    if (!version) return version.error();
+    return std::to_string(version->bytes) + ' ' + version->tag + ' ' + version->modified;
+  }
 
  private:
-  Result<std::unique_ptr<StoredFile>> openWith(const std::string& path, const ReadOptions& options, uint64_t& status) try {
+  // The first bytes of a file, as many as `first` holds or the file has.
+  Result<Version> fetchFirst(const std::string& path, std::vector<std::byte>& first, const ReadOptions& options, uint64_t& status) try {
     const size_t host = path.find("//") + 2, at = path.find('@', host);
     if (at < path.find('/', host))
       return Error{ErrorCode::kIo, path.substr(0, host) + "..." + path.substr(at), "", "has a password in its address, where others would see it", "put it into ~/.netrc"};
-    const std::string address = addressOf(path);
-    std::vector<std::byte> first(kFirstRange);
     Transfer transfer{0, first};
-    auto fetched = client_->fetch(address, transfer, options);
+    auto fetched = client_->fetch(addressOf(path), transfer, options);
     status = transfer.headers.status;
     if (!fetched) return fetched.error();
     first.resize(transfer.done);
-    return std::unique_ptr<StoredFile>(std::make_unique<HttpFile>(path, address, client_, transfer.version, std::move(first)));
+    return transfer.version;
+  } catch (const std::bad_alloc&) {
+    return Error{ErrorCode::kIo, path, "", "out of memory", "close other programs"};
+  }
+  Result<std::unique_ptr<StoredFile>> openWith(const std::string& path, const ReadOptions& options, uint64_t& status) try {
+    std::vector<std::byte> first(kFirstRange);
+    auto version = fetchFirst(path, first, options, status);
+    if (!version) return version.error();
+    return std::unique_ptr<StoredFile>(std::make_unique<HttpFile>(path, addressOf(path), client_, std::move(*version), std::move(first)));
   } catch (const std::bad_alloc&) {
     return Error{ErrorCode::kIo, path, "", "out of memory", "close other programs"};
   }

@@ -77,6 +77,7 @@ Result<std::unique_ptr<NewFile>> MemoryStorage::create(const std::string& path) 
   std::shared_ptr<Inode>& inode = names_[plain(path)];
   if (!inode) inode = std::make_shared<Inode>();
   inode->bytes = std::make_shared<Bytes>();
+  inode->number = ++made_;
   return std::unique_ptr<NewFile>(std::make_unique<MemoryNewFile>(*this, inode));
 }
 
@@ -100,6 +101,13 @@ Result<void> MemoryStorage::remove(const std::string& path) {
 Result<bool> MemoryStorage::exists(const std::string& path) {
   const std::lock_guard lock(mutex_);
   return names_.contains(plain(path));
+}
+
+Result<std::string> MemoryStorage::version(const std::string& path, const ReadOptions&) {
+  const std::lock_guard lock(mutex_);
+  const auto found = names_.find(plain(path));
+  if (found == names_.end()) return absent(path);
+  return std::to_string(found->second->number) + ' ' + std::to_string(found->second->bytes->size());
 }
 
 Result<bool> MemoryStorage::syncFolder(const std::string& folder) {

@@ -16,6 +16,7 @@ class MemoryStorage final : public Storage {
   Result<void> rename(const std::string& from, const std::string& to) override;
   Result<void> remove(const std::string& path) override;
   Result<bool> exists(const std::string& path) override;
+  Result<std::string> version(const std::string& path, const ReadOptions& options = {}) override;
   Result<bool> syncFolder(const std::string& folder) override;
   Result<std::vector<std::string>> list(const std::string& folder) override;
   Result<std::unique_ptr<Claim>> claim(const std::string& path) override;
@@ -38,11 +39,13 @@ class MemoryStorage final : public Storage {
     std::shared_ptr<Bytes> bytes = std::make_shared<Bytes>();
     std::shared_ptr<const Bytes> synced = bytes;
     bool held = true;  // others may hold `bytes`: it is copied before it grows
+    uint64_t number = 0;  // of those made or emptied so far
   };
   using Names = std::map<std::string, std::shared_ptr<Inode>>;
 
   mutable std::mutex mutex_;
   Names names_, synced_names_;  // by path
+  uint64_t made_ = 0;           // files, so far
   std::set<std::string> claimed_;
   std::string newest_;          // renamed to since the last syncFolder(); empty: none
 };

@@ -104,6 +104,15 @@ class PosixStorage final : public Storage {
     if (errno == ENOENT || errno == ENOTDIR) return false;
     return systemError(path, "cannot be looked for");
   }
+  Result<std::string> version(const std::string& path, const ReadOptions&) override {
+    struct stat s {};
+    if (::stat(path.c_str(), &s) != 0) return systemError(path, "cannot be looked at");
+    std::string version;
+    for (const auto part : {static_cast<int64_t>(s.st_dev), static_cast<int64_t>(s.st_ino), static_cast<int64_t>(s.st_size), static_cast<int64_t>(s.st_mtim.tv_sec),
+                            static_cast<int64_t>(s.st_mtim.tv_nsec)})
+      version += std::to_string(part) + ' ';
+    return version;
+  }
   Result<bool> syncFolder(const std::string& folder) override {
     const Descriptor fd(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
     if (!fd) return systemError(folder, "cannot open the folder");

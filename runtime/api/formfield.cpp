@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <system_error>
 
 #include "formats/storage/storage.h"
 #include "runtime/api/formfield_handles.h"
@@ -83,6 +84,7 @@ Result<void> check(const FormfieldWorldSettings& s) {
     return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
   if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "8 is a good value");
   if (s.logged_frames > (1u << 20)) return usageError("logged_frames", "are more than a million");
+  if (!(s.reload_seconds >= 0 && s.reload_seconds <= 1e6f)) return usageError("reload_seconds", "is not between 0 and 1e6", "1 is a good value, 0 turns it off");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
   return {};
 }
@@ -94,6 +96,8 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   streaming.hysteresis = s.hysteresis;
   streaming.memory_bytes = s.memory_bytes;
   streaming.kept_bytes = s.kept_bytes;
+  streaming.hint_bytes = s.hint_bytes;
+  streaming.read_bytes_per_second = s.read_bytes_per_second;
   streaming.max_level0_nodes = s.max_patches;
   streaming.max_nodes = s.max_nodes;
   streaming.decode_threads = static_cast<int>(s.decode_threads);
@@ -148,36 +152,116 @@ FormfieldResult ff::runtime::resultOf(const Error& error) {
   return FORMFIELD_ERROR_IO;
 }
 
-FormfieldWorld_T::FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<formats::World> opened,
-                                   const FormfieldWorldSettings& with, std::unique_ptr<stream::Streamer> strips,
-                                   const SolverChoice& chosen, WorldSolver made)
-    : device(on),
-      world(std::move(opened)),
-      settings(with),
-      streamer(std::move(strips)),
-      choice(chosen),
-      solver(std::move(made)),
-      updater(*world, *streamer, current, FarLight::kPyramid, true, {.frames = on.fades() ? with.fade_frames : 0}),
-      log(with.logged_frames) {
-  updater.setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
-  if (settings.probes > 0) {
-    ProbeSettings probe_settings;
-    probe_settings.rays = settings.probe_rays;
-    probe_settings.max_kept = settings.probes;
-    probe_settings.facet_bytes = settings.probe_memory_bytes;
-    probes.emplace(*world, slots, probe_settings);
+Result<void> FormfieldWorld_T::open() {
+  // Before the file is opened: what takes its place meanwhile is seen at the first look.
+  std::string known;
+  if (settings.reload_seconds > 0) {
+    auto version = formats::storageFor(path)->version(path);
+    if (!version) return version.error();
+    known = std::move(*version);
   }
+  auto opened = openGeneration(choice);
+  if (!opened) return opened.error();
+  shown = std::move(*opened);
+  auto made = device.makeSolver(world(), choice);
+  if (!made && settings.solver == FORMFIELD_SOLVER_AUTO && choice.kind != SolverKind::kGather) {
+    // What was recommended on another device may exceed this one.
+    choice.kind = SolverKind::kGather;
+    choice.iterations = 2;
+    choice.why = "gather: " + made.error().line();
+    made = device.makeSolver(world(), choice);
+  }
+  if (!made) return made.error();
+  solver = std::move(*made);
+  updater().setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   tiles.reserve(kMaxSlots);
   probe_tiles.reserve(kMaxSlots);
   radiosity.reserve(kMaxSlots);
+  if (settings.reload_seconds > 0) makeReloader(std::move(known));
+  return {};
+}
+
+Result<std::unique_ptr<Generation>> FormfieldWorld_T::openGeneration(SolverChoice& to) {
+  auto opened = formats::World::open(path);
+  if (!opened) return opened.error();
+  auto recommended = firstChoice(device, settings, path);
+  if (!recommended) return recommended.error();
+  FormfieldWorldSettings cut = settings;
+  takeCut(*recommended, cut);
+  if (cut.radius_m == 0) cut.radius_m = kRadiusCells * opened->info().cell_m;
+  GenerationSettings with{streamSettings(cut), {.frames = device.fades() ? settings.fade_frames : 0}, {}, settings.max_applied_tiles};
+  if (settings.probes > 0) {
+    with.probes.emplace();
+    with.probes->rays = settings.probe_rays;
+    with.probes->max_kept = settings.probes;
+    with.probes->facet_bytes = settings.probe_memory_bytes;
+  }
+  to = std::move(*recommended);
+  return Generation::create(std::move(*opened), with, current);
+}
+
+void FormfieldWorld_T::makeReloader(std::string known) {
+  reloader.emplace(path, settings.reload_seconds, std::move(known), world(), [this] {
+    SolverChoice beside;  // the solver stays
+    return openGeneration(beside);
+  });
+}
+
+// Between two frames.
+void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
+  if (!reloader) return;
+  reloader->follow(now);
+  if (leaving || !reloader->ready()) return;
+  leaving = std::exchange(shown, reloader->take());
+  const Vec3 step = originStep(leaving->world->info(), world().info());
+  now = now.moved(step);
+  std::array<stream::Hint, stream::kMaxObservers> hints;
+  const auto expected = leaving->streamer->expected();
+  std::ranges::transform(expected, hints.begin(), [&](const stream::Hint& hint) { return stream::Hint{hint.at + step, hint.due}; });
+  shown->streamer->expect(std::span(hints).first(expected.size()));
+  updater().goOnFrom(leaving->updater);
+  const stream::StreamStats strips = leaving->streamer->stats();
+  strips_before.strips_read += strips.strips_read;
+  strips_before.bytes_read += strips.bytes_read;
+  strips_before.evicted += strips.evicted;
+  strips_before.cancelled += strips.cancelled;
+  strips_before.failed += strips.failed;
+  strips_before.reads_held += strips.reads_held;
+  if (leaving->probes) {
+    const ProbeStats probes = leaving->probes->stats();
+    probes_before.traced += probes.traced;
+    probes_before.kept += probes.kept;
+    probes_before.refused += probes.refused;
+  }
+  followed = ~uint64_t{0};
+  ++reloads;
+}
+
+stream::StreamStats FormfieldWorld_T::streamStats() const {
+  stream::StreamStats stats = shown->streamer->stats();
+  stats.strips_read += strips_before.strips_read;
+  stats.bytes_read += strips_before.bytes_read;
+  stats.evicted += strips_before.evicted;
+  stats.cancelled += strips_before.cancelled;
+  stats.failed += strips_before.failed;
+  stats.reads_held += strips_before.reads_held;
+  return stats;
+}
+
+ProbeStats FormfieldWorld_T::probeStats() const {
+  ProbeStats stats = shown->probes->stats();
+  stats.traced += probes_before.traced;
+  stats.kept += probes_before.kept;
+  stats.refused += probes_before.refused;
+  return stats;
 }
 
 void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
   if (!direct_light) return;
-  const auto& active = updater.matrix().tiles;
+  const auto& active = updater().matrix().tiles;
   const auto at = std::lower_bound(active.begin(), active.end(), id,
                                    [](const SlotRange& range, formats::TileId of) { return range.id < of; });
-  const auto& strip = updater.strip(static_cast<size_t>(at - active.begin()));
+  const auto& strip = updater().strip(static_cast<size_t>(at - active.begin()));
   for (size_t i = 0; i < strip.nodes.size(); ++i) {
     const formats::Node& n = strip.nodes[i];
     nodes[i] = {{n.centroid.x, n.centroid.y, n.centroid.z},
@@ -204,13 +288,15 @@ Result<void> FormfieldWorld_T::frame(const stream::Observers& now) {
   return readRadiosity();
 }
 
-Result<void> FormfieldWorld_T::step(const stream::Observers& now) {
+Result<void> FormfieldWorld_T::step(stream::Observers now) {
+  takeUpReload(now);
   observers = now;
   const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
   const auto began = Clock::now();
-  const auto stats = updater.frame(now, iterations);
+  const auto stats = updater().frame(now, iterations);
+  if (leaving && updater().isTakenUp()) reloader->retire(std::move(leaving));
   if (!stats) return stats.error();
-  log.add(began, *stats, streamer->stats());
+  log.add(began, *stats, streamStats());
   followCut(*stats);
   return {};
 }
@@ -220,8 +306,8 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
   light_zeroed += stats.light_zeroed;
   if (!stats.matrix_changed) return;
   ++change;
-  const LocalMatrix& matrix = updater.matrix();
-  slots.follow(matrix.tiles);
+  const LocalMatrix& matrix = updater().matrix();
+  shown->slots.follow(matrix.tiles);
   tiles.clear();
   for (size_t t = 0; t < matrix.tiles.size(); ++t) {
     const SlotRange& range = matrix.tiles[t];
@@ -231,48 +317,48 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
 }
 
 Result<void> FormfieldWorld_T::readRadiosity() {
-  radiosity.resize(updater.matrix().slots());
-  if (auto read = updater.reflected(radiosity); !read) return read;
-  residual = residual_monitor.look(updater.matrix(), updater.source(), radiosity);
-  updater.show(radiosity);
+  radiosity.resize(updater().matrix().slots());
+  if (auto read = updater().reflected(radiosity); !read) return read;
+  residual = residual_monitor.look(updater().matrix(), updater().source(), radiosity);
+  updater().show(radiosity);
   return {};
 }
 
 Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) {
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
   if (!(tolerance > 0) || max_iterations > 1000000) return usageError("tolerance", "is not positive, or too many iterations");
-  if (auto loaded = streamer->settle(); !loaded) return loaded;
-  updater.awaitCut();
-  const auto stats = updater.frame(observers, 1);
+  if (auto loaded = shown->streamer->settle(); !loaded) return loaded;
+  updater().awaitCut();
+  const auto stats = updater().frame(observers, 1);
   if (!stats) return stats.error();
   followCut(*stats);
   if (auto chosen = chooseByMatrix(); !chosen) return chosen;
-  const auto converged = updater.converge(tolerance, static_cast<int>(max_iterations));
+  const auto converged = updater().converge(tolerance, static_cast<int>(max_iterations));
   if (!converged) return converged.error();
   settled = *converged;
   if (auto read = readRadiosity(); !read) return read;
-  if (!probes) return {};
+  if (!shown->probes) return {};
   if (auto followed_now = sample({}, {}, {}); !followed_now) return followed_now;
-  probes->settle();
+  shown->probes->settle();
   return {};
 }
 
 // The first time that nothing but the matrix can say which solver suits it.
 Result<void> FormfieldWorld_T::chooseByMatrix() {
   if (settings.solver != FORMFIELD_SOLVER_AUTO || !choice.why.empty()) return {};
-  SolverChoice better = chooseSolver(updater.matrix());
-  const auto leaves = static_cast<uint32_t>(updater.matrix().leaves.size());
+  SolverChoice better = chooseSolver(updater().matrix());
+  const auto leaves = static_cast<uint32_t>(updater().matrix().leaves.size());
   better.places = std::min(settings.dense_places, leaves + leaves / 4);
   better.storage = settings.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
   if (better.kind == SolverKind::kGather) better.iterations = choice.iterations;
   if (better.kind != choice.kind) {
-    auto made = device.makeSolver(*world, better);
+    auto made = device.makeSolver(world(), better);
     if (!made) return made.error();
-    radiosity.resize(updater.matrix().slots());
-    if (auto read = updater.reflected(radiosity); !read) return read;
-    if (auto set = made->solver->update(updater.matrix(), {}); !set) return set;
+    radiosity.resize(updater().matrix().slots());
+    if (auto read = updater().reflected(radiosity); !read) return read;
+    if (auto set = made->solver->update(updater().matrix(), {}); !set) return set;
     if (auto set = made->solver->setRadiosity(radiosity); !set) return set;
-    if (auto set = made->solver->setSource(updater.source()); !set) return set;
+    if (auto set = made->solver->setSource(updater().source()); !set) return set;
     repaired_before += solver.solver->repaired();
     solver = std::move(*made);
   }
@@ -281,17 +367,17 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
 }
 
 Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<Vec3> out) {
-  if (!probes) return usageError("probes", "the world was opened without", "set FormfieldWorldSettings::probes");
+  if (!shown->probes) return usageError("probes", "the world was opened without", "set FormfieldWorldSettings::probes");
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
-  const LocalMatrix& matrix = updater.matrix();
+  const LocalMatrix& matrix = updater().matrix();
   if (change != followed) {
     followed = change;
     probe_tiles.clear();
     for (size_t t = 0; t < matrix.tiles.size(); ++t)
-      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.strip(t).nodes});
+      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater().strip(t).nodes});
   }
-  probes->follow(observers, probe_tiles, matrix.leaf, change);
-  probes->sample(points, normals, radiosity, sky, out);
+  shown->probes->follow(observers, probe_tiles, matrix.leaf, change);
+  shown->probes->sample(points, normals, radiosity, sky, out);
   return {};
 }
 
@@ -330,6 +416,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->hysteresis = streaming.hysteresis;
   settings->memory_bytes = streaming.memory_bytes;
   settings->kept_bytes = streaming.kept_bytes;
+  settings->hint_bytes = streaming.hint_bytes;
   settings->max_patches = streaming.max_level0_nodes;
   settings->max_nodes = streaming.max_nodes;
   settings->decode_threads = 1;
@@ -354,27 +441,9 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
     formfieldDefaultWorldSettings(&s);
     if (auto taken = takeSettings(settings, s); !taken) return taken;
     if (auto good = check(s); !good) return good;
-    auto opened = formats::World::open(path);
-    if (!opened) return opened.error();
-    auto own = std::make_unique<formats::World>(std::move(*opened));
-    auto choice = firstChoice(*device, s, path);
-    if (!choice) return choice.error();
-    takeCut(*choice, s);
-    if (s.radius_m == 0) s.radius_m = kRadiusCells * own->info().cell_m;
-    auto streamer = stream::Streamer::create(*own, streamSettings(s));
-    if (!streamer) return streamer.error();
-    auto solver = device->makeSolver(*own, *choice);
-    if (!solver && s.solver == FORMFIELD_SOLVER_AUTO && choice->kind != SolverKind::kGather) {
-      // What was recommended on another device may exceed this one.
-      choice->kind = SolverKind::kGather;
-      choice->iterations = 2;
-      choice->why = "gather: " + solver.error().line();
-      solver = device->makeSolver(*own, *choice);
-    }
-    if (!solver) return solver.error();
-    *world = std::make_unique<FormfieldWorld_T>(*device, std::move(own), s, std::move(*streamer), *choice,
-                                                std::move(*solver))
-                 .release();
+    auto made = std::make_unique<FormfieldWorld_T>(*device, path, s);
+    if (auto opened = made->open(); !opened) return opened;
+    *world = made.release();
     return {};
   });
 }
@@ -383,19 +452,19 @@ void formfieldCloseWorld(FormfieldWorld world) { delete world; }
 
 FormfieldResult formfieldGetWorldInfo(FormfieldWorld world, FormfieldWorldInfo* info) {
   return inWorld(world, [&](FormfieldWorld_T& w) {
-    const formats::WorldInfo& i = w.world->info();
+    const formats::WorldInfo& i = w.world().info();
     FormfieldWorldInfo report{};
-    report.patches = w.world->levels()[0].nodes;
-    report.levels = static_cast<uint32_t>(w.world->levels().size());
+    report.patches = w.world().levels()[0].nodes;
+    report.levels = static_cast<uint32_t>(w.world().levels().size());
     report.cell_m = i.cell_m;
     for (int a = 0; a < 3; ++a) {
       report.origin[a] = i.origin[static_cast<size_t>(a)];
       report.lo[a] = i.bounds.lo[a];
       report.hi[a] = i.bounds.hi[a];
     }
-    report.has_geometry = w.world->hasGeometry();
-    report.preview = w.world->info().preview;
-    report.lamp_groups = w.updater.lamps().groups();
+    report.has_geometry = w.world().hasGeometry();
+    report.preview = w.world().info().preview;
+    report.lamp_groups = w.updater().lamps().groups();
     return giveReport(report, info);
   });
 }
@@ -404,14 +473,14 @@ FormfieldResult formfieldSetDirectLight(FormfieldWorld world, FormfieldDirectLig
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     w.direct_light = direct_light;
     w.direct_light_user = user;
-    w.updater.lightChanged();
+    w.updater().lightChanged();
     return {};
   });
 }
 
 FormfieldResult formfieldLightChanged(FormfieldWorld world) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
-    w.updater.lightChanged();
+    w.updater().lightChanged();
     return {};
   });
 }
@@ -421,7 +490,7 @@ FormfieldResult formfieldSetDirectIrradiance(FormfieldWorld world, uint32_t firs
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (first > kMaxSlots || count > kMaxSlots - first) return usageError("slots", "reach past FORMFIELD_MAX_SLOTS");
     if (count > 0 && !irradiance) return usageError("irradiance", "is NULL");
-    return w.updater.setDirectIrradiance(first, vectors(irradiance, count));
+    return w.updater().setDirectIrradiance(first, vectors(irradiance, count));
   });
 }
 
@@ -434,7 +503,7 @@ FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky) {
       set.l1[c] = vectorOf(sky->gradient[c]);
       std::copy_n(sky->quadratic[c], 5, set.l2[c].begin());
     }
-    if (auto taken = w.updater.setSky(set); !taken) return taken;
+    if (auto taken = w.updater().setSky(set); !taken) return taken;
     w.sky = set;
     return {};
   });
@@ -442,7 +511,7 @@ FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky) {
 
 FormfieldResult formfieldLampGroups(FormfieldWorld world, uint32_t first, uint32_t count, FormfieldLampGroup* groups) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
-    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    const std::vector<formats::LampGroup>& known = w.world().info().lamp_groups;
     if (first > known.size() || count > known.size() - first) return usageError("lamp groups", "reach past the world's last one");
     if (count > 0 && !groups) return usageError("groups", "is NULL");
     for (uint32_t i = 0; i < count; ++i) {
@@ -456,7 +525,7 @@ FormfieldResult formfieldLampGroups(FormfieldWorld world, uint32_t first, uint32
 FormfieldResult formfieldFindLampGroup(FormfieldWorld world, const char* name, uint32_t* group) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!name || !group) return usageError("name or group", "is NULL");
-    const std::vector<formats::LampGroup>& known = w.world->info().lamp_groups;
+    const std::vector<formats::LampGroup>& known = w.world().info().lamp_groups;
     const auto at = std::find_if(known.begin(), known.end(), [&](const formats::LampGroup& g) { return g.name == name; });
     if (at == known.end()) return usageError(name, "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
     *group = static_cast<uint32_t>(at - known.begin());
@@ -467,12 +536,12 @@ FormfieldResult formfieldFindLampGroup(FormfieldWorld world, const char* name, u
 FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const float scale[3]) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     if (!scale) return usageError("scale", "is NULL");
-    if (group >= w.updater.lamps().groups())
+    if (group >= w.updater().lamps().groups())
       return usageError("group", "is no lamp group of this world", "see formfieldLampGroups, or ffinspect info");
     const Vec3 set = vectorOf(scale);
     if (!isFinite(set)) return usageError("scale", "is not finite");
     if (set.x < 0 || set.y < 0 || set.z < 0) return usageError("scale", "is negative", "a lamp that is off has 0");
-    return w.updater.setLamp(group, set);
+    return w.updater().setLamp(group, set);
   });
 }
 
@@ -490,6 +559,22 @@ FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const Fo
     if (!observers) return usageError("observers", "is NULL");
     const auto all = w.observersOf({observers, count});
     return all ? w.frame(*all) : Result<void>(all.error());
+  });
+}
+
+FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const FormfieldPlace* places) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (count > stream::kMaxObservers) return usageError("places", "are more than 16", "give at most FORMFIELD_MAX_OBSERVERS");
+    if (count > 0 && !places) return usageError("places", "is NULL");
+    std::array<stream::Hint, stream::kMaxObservers> hints;
+    for (uint32_t i = 0; i < count; ++i) {
+      const FormfieldPlace& place = places[i];
+      hints[i].at = w.fromOrigin(place.position);
+      if (!isFinite(hints[i].at) || !(place.seconds >= 0 && place.seconds <= 1e6f)) return usageError("place", "or its time is not finite, or the time is negative");
+      hints[i].due = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(place.seconds));
+    }
+    w.shown->streamer->expect(std::span(hints).first(count));
+    return {};
   });
 }
 
@@ -518,15 +603,15 @@ const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint6
 
 FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
-    const uint32_t patches = w.world->levels()[0].nodes;
+    const uint32_t patches = w.world().levels()[0].nodes;
     if (first > patches || count > patches - first) return usageError("patches", "reach past the world's last one");
     if (count > 0 && !slots) return usageError("slots", "is NULL");
     for (uint32_t i = 0; i < count;) {
-      const auto tile = w.world->tileOfNode(0, first + i);
+      const auto tile = w.world().tileOfNode(0, first + i);
       if (!tile) return tile.error();
-      w.listed.insert(tile->chunk);
+      w.shown->listed.insert(tile->chunk);
       for (const uint32_t end = tile->info().first_node + tile->info().nodes; i < count && first + i < end; ++i)
-        slots[i] = w.slots.slotOf(*tile, first + i - tile->info().first_node);
+        slots[i] = w.shown->slots.slotOf(*tile, first + i - tile->info().first_node);
     }
     return {};
   });
@@ -534,7 +619,7 @@ FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32
 
 FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
-    const SlotRange* range = w.slots.tileOf(slot);
+    const SlotRange* range = w.shown->slots.tileOf(slot);
     if (!range) return usageError("slot", "belongs to no active tile", "see formfieldTiles");
     if (level) *level = range->id.level;
     if (node) *node = range->first_node + slot - range->first_slot;
@@ -545,7 +630,7 @@ FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t*
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
   return inWorld(world, [&](FormfieldWorld_T& w) {
     const FrameStats& f = w.frame_stats;
-    const stream::StreamStats s = w.streamer->stats();
+    const stream::StreamStats s = w.streamStats();
     FormfieldStats report{};
     report.slots = f.slots;
     report.leaves = f.leaves;
@@ -575,8 +660,8 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
       report.dense_probe = d.probe;
     }
     report.residual = w.residual;
-    if (w.probes) {
-      const ProbeStats p = w.probes->stats();
+    if (w.shown->probes) {
+      const ProbeStats p = w.probeStats();
       report.probes_traced = p.traced;
       report.probes_remembered = p.kept;
       report.probe_tiles = p.facet_tiles;
@@ -590,11 +675,37 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.ahead_tiles = s.ahead_tiles;
     report.light_zeroed = w.light_zeroed;
     report.light_repaired = w.repaired_before + w.solver.solver->repaired();
+    report.applied_tiles = f.applied_tiles;
+    report.waiting_tiles = f.waiting_tiles;
+    report.reads_held = s.reads_held;
+    report.reloads = w.reloads;
+    report.reload_failures = w.reloader ? w.reloader->failures() : 0;
     report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
     report.settled = w.settled.settled;
     report.settle_change = w.settled.change;
     return giveReport(report, stats);
   });
+}
+
+FormfieldResult formfieldReload(FormfieldWorld world) {
+  return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
+    if (!w.reloader) try {
+        w.makeReloader({});
+      } catch (const std::system_error& e) {
+        return Error{ErrorCode::kIo, w.path, "", std::string("cannot start a thread: ") + e.what(), "close other programs"};
+      }
+    w.reloader->ask();
+    return {};
+  });
+}
+
+const char* formfieldReloadFailure(FormfieldWorld world) {
+  if (!world) return "";
+  (void)guarded(world->device.error, [&]() -> Result<void> {
+    world->reload_failure = world->reloader ? world->reloader->failure() : "";
+    return {};
+  });
+  return world->reload_failure.c_str();
 }
 
 FormfieldResult formfieldWriteTrace(FormfieldWorld world, const char* path) {
@@ -614,13 +725,13 @@ const char* formfieldFallbackReason(FormfieldWorld world) {
 
 const char* formfieldSolverReason(FormfieldWorld world) { return world ? world->choice.why.c_str() : ""; }
 
-const char* formfieldLightFault(FormfieldWorld world) { return world ? world->updater.lightFault().c_str() : ""; }
+const char* formfieldLightFault(FormfieldWorld world) { return world ? world->updater().lightFault().c_str() : ""; }
 
 const char* formfieldStreamFailure(FormfieldWorld world) {
   if (!world) return "";
   (void)guarded(world->device.error, [&]() -> Result<void> {
-    world->stream_failure = world->streamer->lastFailure();
-    if (world->stream_failure.empty() && world->probes && world->probes->stats().starved)
+    world->stream_failure = world->shown->streamer->lastFailure();
+    if (world->stream_failure.empty() && world->shown->probes && world->shown->probes->stats().starved)
       world->stream_failure = "out of memory or threads for the triangles that probes meet; close other programs, or lower probe_memory_bytes";
     return {};
   });

@@ -97,6 +97,12 @@ typedef struct FormfieldWorldSettings {
   uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns; 0: at once. What is needed is loaded so much
                                   earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
   uint32_t logged_frames;      /* the last so many frames are kept, 64 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
+  uint64_t hint_bytes;         /* of memory_bytes, at most, for what formfieldExpect names */
+  uint64_t read_bytes_per_second; /* of strips, at most; 0: no limit. The nearest come first; the index (1 % of that) and the coarsest level come on top */
+  uint32_t max_applied_tiles;  /* that enter a frame's matrix and light, at most, the nearest first; 0: no limit. The first frame, formfieldSettle, a re-bake and,
+                                  rarely, slots that are given out anew take all at once */
+  float reload_seconds;        /* so often the world's file is looked at (one stat; behind a web server, one request for a byte), and when it was
+                                  baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */
@@ -107,6 +113,18 @@ FormfieldResult formfieldOpenWorld(FormfieldDevice device, const char* path, con
                                    FormfieldWorld* world);
 /* Waits for reads that are under way. NULL is allowed. */
 void formfieldCloseWorld(FormfieldWorld world);
+
+/* Hot reload: opens the world's file anew, as it is now, after it was baked again. Returns at once. A thread of the library's own opens it, loads what is
+ * around the observers and puts its matrix together, meanwhile with the memory and the threads of a second world; then one of the next frames changes
+ * over (FormfieldStats::reloads), whole, and what it had before is let go. That frame waits for nothing, and asks for direct light as after formfieldLightChanged.
+ * Light goes on node by node where there is the same node, else from its cluster; sky, direct light and, by their names, switches of lamp groups are kept,
+ * and so are the solver and its settings. The state is that of a world just opened: from then on FormfieldWorldInfo, numbers of patches, tiles, slots and
+ * lamp groups (and their names) are the new bake's. What cannot be opened, or is damaged around the observers, is left alone
+ * (formfieldReloadFailure, FormfieldStats::reload_failures) and the world goes on as it was: call again, or with reload_seconds it is tried again
+ * when the file changes, and every 5 s. Readers that are open go on with their own files. On Vulkan a bake that needs half as much again as the first one may fill the device. */
+FormfieldResult formfieldReload(FormfieldWorld world);
+/* Why the last attempt came to nothing, as a line; empty: it did not. Allocates; valid until the next call. */
+const char* formfieldReloadFailure(FormfieldWorld world);
 
 typedef struct FormfieldWorldInfo {
   uint32_t size;       /* sizeof(FormfieldWorldInfo) */
@@ -163,7 +181,7 @@ FormfieldResult formfieldSetSky(FormfieldWorld world, const FormfieldSky* sky);
 
 /* Surfaces that emit light are switched by *lamp group*: those of one material, or of what the scene names together. */
 typedef struct FormfieldLampGroup {
-  const char* name;  /* valid as long as the world */
+  const char* name;  /* valid until the world is closed, or a re-bake taken up */
   float emission[3]; /* as baked, W/m2: the largest of its patches, a channel at a time */
   float area_m2;
   uint32_t patches;
@@ -197,6 +215,17 @@ typedef struct FormfieldObserver {
  * what one has around it is there for all. Each keeps its place in the list from frame to frame. The budgets of FormfieldWorldSettings are of all
  * together. */
 FormfieldResult formfieldFrameFor(FormfieldWorld world, uint32_t count, const FormfieldObserver* observers);
+
+/* Where an observer will be otherwise than by its velocity: after a teleport, a cut scene, at a spawn point. */
+typedef struct FormfieldPlace {
+  double position[3]; /* m, as an observer's */
+  float seconds;      /* from now, >= 0 */
+} FormfieldPlace;
+
+/* From the next frame on what such places want is read ahead, the soonest first, each from the nearest on, within hint_bytes: what fits and can be read in time is
+ * there when an observer jumps. Replaces all that was expected before; count: 0 to FORMFIELD_MAX_OBSERVERS. A place is forgotten 5 s after its time. Call it
+ * once, or with every frame. The budgets of an observer hold for what is wanted once it is there: max_patches, max_nodes. */
+FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const FormfieldPlace* places);
 
 /* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
  * next frame. */
@@ -263,6 +292,9 @@ typedef struct FormfieldStats {
   uint64_t samples_refused; /* points answered with zero: they or their normals are not finite, or 0 */
   double frame_ms_p50, frame_ms_p99, frame_ms_max; /* of the frames that are kept: what the frame's thread took but for the solver; half of them at most, ... */
   uint32_t late_tiles, ahead_tiles;            /* wanted and not there yet; read ahead, or on the way, for where the observers will be */
+  uint32_t applied_tiles, waiting_tiles;       /* entered in the last frame; loaded, and kept back by max_applied_tiles */
+  uint64_t reads_held;                         /* reads that began later than they could have, for read_bytes_per_second */
+  uint32_t reloads, reload_failures;           /* re-bakes that were taken up; attempts that failed, each with another line */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);

@@ -15,6 +15,7 @@
 #include "runtime/dense/dense_solver.h"
 #include "runtime/frame_log.h"
 #include "runtime/probes/probes.h"
+#include "runtime/reload.h"
 #include "runtime/solver/residual_monitor.h"
 #include "runtime/updater.h"
 
@@ -56,21 +57,29 @@ struct FormfieldDevice_T {
 };
 
 struct FormfieldWorld_T {
-  FormfieldWorld_T(FormfieldDevice_T& on, std::unique_ptr<ff::formats::World> opened,
-                   const FormfieldWorldSettings& with, std::unique_ptr<ff::stream::Streamer> strips,
-                   const ff::runtime::SolverChoice& choice, ff::runtime::WorldSolver made);
+  FormfieldWorld_T(FormfieldDevice_T& on, std::string from, const FormfieldWorldSettings& with) : device(on), path(std::move(from)), settings(with), log(with.logged_frames) {}
   FormfieldWorld_T(const FormfieldWorld_T&) = delete;
   FormfieldWorld_T& operator=(const FormfieldWorld_T&) = delete;
 
-  // The frame but for reading its light back.
+  ff::Result<void> open();
+  // The world's file as it is now. choice: what is recommended beside it, or the settings say.
+  ff::Result<std::unique_ptr<ff::runtime::Generation>> openGeneration(ff::runtime::SolverChoice& choice);
+  void makeReloader(std::string known);
+  void takeUpReload(ff::stream::Observers& observers);
+  ff::runtime::Updater& updater() const { return shown->updater; }
+  const ff::formats::World& world() const { return *shown->world; }
+  // Of all generations together, where they count since the start.
+  ff::stream::StreamStats streamStats() const;
+  ff::runtime::ProbeStats probeStats() const;
   // Of a place in the scene's world space.
   ff::Vec3 fromOrigin(const double at[3]) const {
-    const auto& origin = world->info().origin;
+    const auto& origin = world().info().origin;
     return {static_cast<float>(at[0] - origin[0]), static_cast<float>(at[1] - origin[1]), static_cast<float>(at[2] - origin[2])};
   }
   // Those of a call; errors: too many, none, or a number that is not finite.
   ff::Result<ff::stream::Observers> observersOf(std::span<const FormfieldObserver> given) const;
-  ff::Result<void> step(const ff::stream::Observers& observers);
+  // The frame but for reading its light back.
+  ff::Result<void> step(ff::stream::Observers observers);
   ff::Result<void> frame(const ff::stream::Observers& observers);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
@@ -80,9 +89,8 @@ struct FormfieldWorld_T {
   ff::Result<void> readRadiosity();
 
   FormfieldDevice_T& device;
-  const std::unique_ptr<ff::formats::World> world;
+  const std::string path;
   const FormfieldWorldSettings settings;
-  const std::unique_ptr<ff::stream::Streamer> streamer;
   ff::runtime::SolverChoice choice;
   ff::runtime::WorldSolver solver;
   // Between the updater and whatever solver is in use.
@@ -113,10 +121,11 @@ struct FormfieldWorld_T {
     const FormfieldWorld_T& world;
   } current{*this};
   bool recording = false;  // iterate() records
-  ff::runtime::Updater updater;
-  ff::runtime::SlotMap slots;
-  std::set<ff::formats::ChunkPtr> listed;  // that hold patches whose slots were asked for by number: they will be again
-  std::optional<ff::runtime::Probes> probes;
+  std::unique_ptr<ff::runtime::Generation> shown;
+  std::unique_ptr<ff::runtime::Generation> leaving;  // the solver may still look at it
+  ff::stream::StreamStats strips_before;             // of generations that left
+  ff::runtime::ProbeStats probes_before;
+  uint32_t reloads = 0;
   ff::runtime::ResidualMonitor residual_monitor;
   ff::runtime::Sky sky;
   FormfieldDirectLight direct_light = nullptr;
@@ -135,7 +144,8 @@ struct FormfieldWorld_T {
   std::vector<ff::runtime::ProbeTile> probe_tiles;
   std::vector<ff::runtime::Vec4> radiosity;
   std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
-  std::string stream_failure;
+  std::string stream_failure, reload_failure;
+  std::optional<ff::runtime::Reloader> reloader;  // the first to go: its thread opens generations
 };
 
 namespace ff::runtime {

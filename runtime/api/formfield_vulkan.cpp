@@ -28,14 +28,14 @@ class VulkanRecording final : public Recording {
   Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, const stream::Observers& observers) {
     const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
     commands_ = commands;
-    updater_ = &world.updater;
+    world_ = &world;
     world.recording = true;
     auto stepped = world.step(observers);
     world.recording = false;
     if (!stepped) return stepped;
-    const LocalMatrix& matrix = world.updater.matrix();
+    const LocalMatrix& matrix = world.updater().matrix();
     if (world.frame_stats.matrix_changed)
-      for (const uint32_t t : world.updater.change().entered)
+      for (const uint32_t t : world.updater().change().entered)
         entered_[matrix.tiles[t].first_slot] = records_;
     if (world.solver.fellBack()) {
       readBack(world, {});
@@ -50,9 +50,9 @@ class VulkanRecording final : public Recording {
   }
 
   Result<void> record(int iterations) override {
-    if (updater_->emissionChange() != emission_) {
-      if (auto set = recorder_.setEmission(updater_->emission()); !set) return set;
-      emission_ = updater_->emissionChange();
+    if (world_->updater().emissionChange() != emission_) {
+      if (auto set = recorder_.setEmission(world_->updater().emission()); !set) return set;
+      emission_ = world_->updater().emissionChange();
     }
     return recorder_.record(commands_, iterations);
   }
@@ -80,7 +80,7 @@ class VulkanRecording final : public Recording {
   // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now. Records from before
   // slots were given out anew say nothing of these: until younger ones arrive they stay as they were carried over.
   void readBack(FormfieldWorld_T& world, const Region& arrived) {
-    const LocalMatrix& matrix = world.updater.matrix();
+    const LocalMatrix& matrix = world.updater().matrix();
     const bool fresh = arrived.slots > 0 && arrived.record >= anew_;
     reflected_.resize(matrix.slots());
     if (fresh) std::memcpy(reflected_.data(), buffer_.mapped() + offset(), std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
@@ -91,7 +91,7 @@ class VulkanRecording final : public Recording {
         reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
     }
     world.radiosity.assign(reflected_.begin(), reflected_.end());
-    world.updater.show(world.radiosity);
+    world.updater().show(world.radiosity);
   }
 
   void recordReadBack(uint32_t slots) {
@@ -113,7 +113,7 @@ class VulkanRecording final : public Recording {
   uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
   uint64_t anew_ = 0;                    // the first record with the slots of now
   VkCommandBuffer commands_ = VK_NULL_HANDLE;
-  const Updater* updater_ = nullptr;
+  const FormfieldWorld_T* world_ = nullptr;
 };
 
 // Null where the world's solver cannot record.

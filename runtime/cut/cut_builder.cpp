@@ -10,9 +10,9 @@
 namespace ff::runtime {
 
 CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background) : front_(std::make_unique<MatrixAssembler>(world, far_light)) {
+  for (auto* cut : {&cut_, &next_cut_}) cut->reserve(kMaxSlots / 16);
   if (!background) return;
   back_ = std::make_unique<MatrixAssembler>(world, far_light);
-  for (auto* cut : {&cut_, &next_cut_}) cut->reserve(kMaxSlots / 16);
   front_->swap(shown_);
   try {
     thread_ = std::thread([this] { work(); });
@@ -80,6 +80,7 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
     if (std::exchange(renumber_next_, false)) front_->renumberNext();
     auto updated = front_->update(active);
     change_ = &front_->change();
+    if (updated && !std::ranges::equal(active, cut_)) cut_.assign(active.begin(), active.end());
     return updated;
   }
   if (state_ == kReady)

@@ -36,6 +36,8 @@ class CutBuilder {
   void await() const;
   // Whether the matrix is that of a cut.
   bool holds(std::span<const stream::StripPtr> active) const;
+  // The cut that was last begun to be put together, whether or not the matrix is there.
+  std::span<const stream::StripPtr> latest() const { return state_ == kIdle ? cut_ : next_cut_; }
   void renumberNext() { renumber_next_ = true; }  // for tests
 
  private:
@@ -51,7 +53,7 @@ class CutBuilder {
   bool renumber_next_ = false;
   std::chrono::steady_clock::time_point started_;
   float latency_seconds_ = 0;
-  // Handed to the thread and back by state_.
+  // Handed to the thread, which only reads them, and back by state_.
   std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
   bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
   std::optional<Error> error_;

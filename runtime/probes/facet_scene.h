@@ -70,6 +70,7 @@ class FacetScenes {
   bool starved() const { return starved_.load(); }
   // Blocks until the scene for the last observers is here.
   void settle();
+  bool settled() const { return done_.load() == aim_.load(); }
 
  private:
   using ScenePtr = std::unique_ptr<const FacetScene>;

@@ -54,6 +54,7 @@ class Probes {
               const Sky& sky, std::span<Vec3> irradiance);
   // Blocks until the triangles around the last observer are here (tests, loading screens).
   void settle();
+  bool settled() const { return facets_.settled(); }
   ProbeStats stats() const;
 
  private:

@@ -35,6 +35,7 @@ class CountingStorage final : public formats::Storage {
   Result<void> remove(const std::string& path) override { return below_->remove(path); }
   Result<bool> syncFolder(const std::string& folder) override { return below_->syncFolder(folder); }
   Result<bool> exists(const std::string& path) override { return below_->exists(path); }
+  Result<std::string> version(const std::string& path, const formats::ReadOptions& options) override { return below_->version(path, options); }
   Result<std::vector<std::string>> list(const std::string& folder) override { return below_->list(folder); }
   Result<std::unique_ptr<formats::Claim>> claim(const std::string& path) override { return below_->claim(path); }
   Result<void> checkWritable(const std::string& folder) override { return below_->checkWritable(folder); }

@@ -13,6 +13,7 @@
 
 #include "formats/codec/records.h"
 #include "runtime/full_solve.h"
+#include "runtime/reload.h"
 #include "runtime/updater.h"
 #include "stream/file_source.h"
 #include "stream/strip_loader.h"
@@ -38,6 +39,9 @@ struct Options {
   double seconds = 15;
   float height_m = 1.6f;
   float delay_ms = 0;
+  double hint_seconds = 0.5;
+  uint32_t max_applied_tiles = 0;
+  uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false;
 };
@@ -127,6 +131,7 @@ struct Flown {
   std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, near, far;
   uint64_t frames = 0, frames_late = 0, late = 0, wanted = 0, frames_jump_near = 0, frames_jump_far = 0, changes = 0;
   SurfaceLight::Error near_error, far_error;
+  uint32_t most_applied = 0;  // tiles that entered in a frame
   uint64_t device_bytes = 0, read_bytes = 0, used_bytes = 0, strips = 0, cancelled = 0, failed = 0;
   double seconds = 0;
   std::vector<double> whole_after_ms;  // of teleports: until nothing was late
@@ -152,7 +157,8 @@ uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::Stream
   return late;
 }
 
-void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, Flown& flown) {
+// hint_seconds: before every teleport the streamer is told where it goes; 0: it is not.
+void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, double hint_seconds, Flown& flown) {
   for (int pass = 0; pass < path.passes; ++pass) {
     const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
     std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
@@ -161,9 +167,10 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     if (options.delay_ms > 0) source = std::make_unique<LateSource>(std::move(source), std::chrono::microseconds(static_cast<int64_t>(1000 * options.delay_ms)));
     stream::StreamSettings settings;
     settings.radius_m *= whole.info().cell_m;
+    settings.read_bytes_per_second = options.bytes_per_second;
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
     TimedSolver solver(runtime::makeCpuGather());
-    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames});
+    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames}, options.max_applied_tiles);
     orExit(updater.setSky(skyOf(options)));
     const FlightPath::Moment first = path.moment(pass, 0);
     streamer->update(first.at, first.velocity);
@@ -192,6 +199,11 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     for (int f = 1; f <= frames; ++f) {
       std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(f * kFrameSeconds)));
       const FlightPath::Moment now = path.moment(pass, f * kFrameSeconds);
+      if (hint_seconds > 0)
+        if (const FlightPath::Moment then = path.moment(pass, f * kFrameSeconds + hint_seconds); then.jumped) {
+          const stream::Hint hint{then.at, Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(hint_seconds))};
+          streamer->expect({&hint, 1});
+        }
       if (options.unhurried) {
         streamer->update(now.at, now.velocity);
         orExit(streamer->settle());
@@ -207,13 +219,14 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       flown.stream_ms.push_back(stats.stream_ms);
       flown.matrix_ms.push_back(stats.matrix_ms - update.wall_ms);
       flown.changes += stats.matrix_changed;
+      flown.most_applied = std::max(flown.most_applied, stats.applied_tiles);
       const stream::StreamStats s = streamer->stats();
       ++flown.frames;
       const uint64_t late = lateByDefinition(whole, settings, now.at, updater.matrix().tiles);
       flown.frames_late += late > 0;
       flown.late += late;
       flown.wanted += s.wanted_tiles;
-      if (now.jumped) jumped_at = f;
+      if (length(now.at - path.moment(pass, (f - 1) * kFrameSeconds).at) > 5) jumped_at = f;
       if (jumped_at >= 0 && late == 0) {
         flown.whole_after_ms.push_back(1000 * kFrameSeconds * (f - jumped_at + 1));
         jumped_at = -1;
@@ -264,7 +277,7 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
   for (const auto& [metric, share, limit] : {std::tuple{"stream.frame_p50_ms", 0.5, std::nan("")}, std::tuple{"stream.frame_p99_ms", 0.99, 0.2},
                                              std::tuple{"stream.frame_max_ms", 1.0, 1.0}})
     print(metric, quantile(flown.frame_ms, share), "ms", limit,
-          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames",
+          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles",
           "cpu");
   print("stream.read_amplification", ratio(flown.device_bytes, flown.used_bytes), "ratio", 2.5,
         note + "; bytes that the disk read over those of strips that became active, " + number(static_cast<double>(flown.used_bytes) / 1e6) + " MB; strips read over the same " +
@@ -276,6 +289,54 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
             percent(flown.frames_jump_far, flown.frames));
   print("stream.moving_error", flown.near_error.relative(), "relative", 0,
         note + "; rms over all frames of what fixed patches within 12 m reflect, against the whole world solved in double precision; at 12 to 30 m " + number(flown.far_error.relative()));
+}
+
+// A world that is opened anew while frames go on: what the frame that changes over takes, and how long until it comes.
+void printReload(const formats::WholeWorld& whole, const std::string& name, const Options& options) {
+  constexpr int kReloads = 9;
+  TimedSolver solver(runtime::makeCpuGather());
+  runtime::GenerationSettings settings;
+  settings.stream.radius_m *= whole.info().cell_m;
+  settings.fade.frames = options.fade_frames;
+  const auto open = [&] { return runtime::Generation::create(orExit(formats::World::open(whole.path())), settings, solver); };
+  std::unique_ptr<runtime::Generation> shown = orExit(open());
+  runtime::Reloader reloader(whole.path(), 0, "", *shown->world, open);
+  orExit(shown->updater.setSky(skyOf(options)));
+  const Box& bounds = whole.info().bounds;
+  Vec3 at = bounds.lo + (bounds.hi - bounds.lo) * 0.3f;
+  at.y = options.height_m;
+  const Vec3 velocity{5, 0, 0};
+  std::vector<double> over_ms, over_cpu_ms, other_ms, ready_after_ms;
+  for (auto asked_at = Clock::now(); over_ms.size() < kReloads;) {
+    std::this_thread::sleep_for(std::chrono::duration<double>(kFrameSeconds));
+    at += velocity * static_cast<float>(kFrameSeconds);
+    const auto began = Clock::now();
+    const double cpu = threadMs();
+    const stream::Observers observers(stream::Observer{at, velocity});
+    reloader.follow(observers);
+    std::unique_ptr<runtime::Generation> before;
+    if (reloader.ready()) {
+      before = std::exchange(shown, reloader.take());
+      shown->updater.goOnFrom(before->updater);
+    }
+    (void)orExit(shown->updater.frame(observers, kIterations));
+    const TimedSolver::Spent steps = solver.takeSteps();
+    (before ? over_ms : other_ms).push_back(msSince(began) - steps.wall_ms);
+    if (before) {
+      over_cpu_ms.push_back(threadMs() - cpu - steps.cpu_ms);
+      ready_after_ms.push_back(msSince(asked_at));
+      reloader.retire(std::move(before));
+    }
+    if (other_ms.size() % 60 == 30) {
+      reloader.ask();
+      asked_at = Clock::now();
+    }
+  }
+  const double middle = quantile(over_ms, 0.5);
+  print("stream.reload_frame_ms", middle, "ms", quantile(other_ms, 0.5),
+        name + "; the frame that changes over to a re-bake, but for the solver's steps, on the clock: median of " + std::to_string(kReloads) + ", at most " + number(over_ms.back()) + "; " + number(quantile(over_cpu_ms, 0.5)) +
+            " ms of a core's time; limit: the median of other frames (99 of a hundred take at most " + number(quantile(other_ms, 0.99)) + "); ready " + number(quantile(ready_after_ms, 0.5)) + " ms after it was asked for",
+        "cpu");
 }
 
 // Decoding into the form that solvers use, beside zstd alone on the same strips, round by round.
@@ -319,10 +380,15 @@ int main(int argc, char** argv) {
   app.add_option("--patches", options.patches, "of the town that is baked: 60000, 60k, 1M")->transform(CLI::AsSizeValue(true))->capture_default_str();
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
-  app.add_option("--path", options.path, "paths whose names begin so; all without it");
+  app.add_option("--path", options.path, "paths whose names begin so, or reload; all without it");
   app.add_option("--height", options.height_m, "of the eyes, m, in the world's coordinates")->capture_default_str();
   app.add_option("--reader", options.reader, "io_uring or threads; what streams choose without it")->check(CLI::IsMember({"io_uring", "threads"}));
   app.add_option("--delay", options.delay_ms, "ms that every read takes longer")->check(CLI::Range(0.0f, 10000.0f));
+  app.add_option("--hint", options.hint_seconds, "s before a teleport that the streamer is told where it goes; such paths are flown without and with it; 0: without")
+      ->check(CLI::Range(0.0, 0.9))
+      ->capture_default_str();
+  app.add_option("--tiles", options.max_applied_tiles, "that enter a frame's matrix, at most; 0: no limit")->capture_default_str();
+  app.add_option("--bytes", options.bytes_per_second, "of strips that are read a second, at most; 0: no limit")->transform(CLI::AsSizeValue(false))->capture_default_str();
   app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
   app.add_flag("--warm", options.warm, "leaves the files in the page cache");
   app.add_option("--fade", options.fade_frames, "frames that a tile takes to come or to go, at least; 0: it does so at once")->capture_default_str();
@@ -340,10 +406,15 @@ int main(int argc, char** argv) {
   const std::string name = std::to_string(world.levels()[0].nodes) + " patches" + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
   for (const FlightPath& path : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
     if (!path.name.starts_with(options.path)) continue;
-    Flown flown;
-    fly(options, world, surface, path, flown);
-    report(name, path, flown);
+    for (const bool hinted : {false, true}) {
+      if (hinted && (!path.teleports || options.hint_seconds == 0)) continue;
+      const double hint_seconds = hinted ? options.hint_seconds : 0;
+      Flown flown;
+      fly(options, world, surface, path, hint_seconds, flown);
+      report(name + (hinted ? ", told " + number(hint_seconds) + " s before" : ""), path, flown);
+    }
   }
+  if (std::string("reload").starts_with(options.path)) printReload(world, name, options);
   if (options.path.empty()) printDecoding(world, name);
   std::filesystem::remove_all(folder);
   return 0;

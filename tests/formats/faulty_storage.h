@@ -42,6 +42,10 @@ class FaultyStorage final : public Storage {
     if (fails()) return fault(path);
     return below_->exists(path);
   }
+  Result<std::string> version(const std::string& path, const ReadOptions& options = {}) override {
+    if (fails()) return fault(path);
+    return below_->version(path, options);
+  }
   Result<bool> syncFolder(const std::string& folder) override {
     if (fails()) return fault(folder);
     return folders_can_sync ? below_->syncFolder(folder) : Result<bool>(false);

@@ -156,6 +156,19 @@ TEST_F(Http, RefusesBytesThatAreCompressed) {
   expectSays(refusal(*file), "compressed (gzip)");
 }
 
+TEST_F(Http, TellsAVersionByARequestOfOneByte) {
+  const auto first = storage_->version(address());
+  ASSERT_TRUE(first) << first.error().line();
+  EXPECT_EQ(server_.requests, 1u);
+  EXPECT_EQ(server_.body_bytes, 1u);
+  EXPECT_EQ(*storage_->version(address()), *first);
+  spoil([](WebServer::Reply& reply) { reply.headers += "ETag: \"2\"\r\n"; }, true);
+  EXPECT_NE(*storage_->version(address()), *first);
+  spoil([](WebServer::Reply& reply) { reply.headers += "Last-Modified: Sat, 28 Nov 2026 00:00:00 GMT\r\n"; }, true);
+  EXPECT_NE(*storage_->version(address()), *first);
+  EXPECT_FALSE(storage_->version(address("/none.ffm")));
+}
+
 TEST_F(Http, SaysThatAFileHasChangedOnTheServer) {
   for (const auto& [tag, modified, size] : {std::tuple{"2", "", "300000"}, {"1", "", "300001"}, {"", "Sat, 28 Nov 2026 00:00:00 GMT", "300000"}}) {
     server_.spoil = [](const WebServer::Request&, WebServer::Reply& reply) { reply.headers += "Last-Modified: Fri, 27 Nov 2026 00:00:00 GMT\r\n"; };

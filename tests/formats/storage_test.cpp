@@ -2,8 +2,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <functional>
 #include <optional>
+#include <set>
 #include <thread>
 
 #include "formats/read/whole_world.h"
@@ -232,6 +234,41 @@ TEST_F(Rebake, IsNotLostWhereAFolderCannotBeSynced) {
   EXPECT_EQ(whole(faulty), 1u);
   ASSERT_EQ(warnings.size(), 1u);
   EXPECT_NE(warnings[0].find("out/"), std::string::npos) << warnings[0];
+}
+
+// One whose shards it has opened needs none of their names any more.
+TEST_F(Rebake, AReaderThatHasOpenedAllShardsOutlivesThem) {
+  TemporaryFolder folder;
+  const std::string path = folder.file("w.ffm");
+  ASSERT_TRUE(writeWorld(world(1), path, 2000));
+  const auto old = World::open(path);
+  ASSERT_TRUE(old && old->openShards());
+  ASSERT_GT(old->shards().size(), 4u);
+  ASSERT_TRUE(writeWorld(world(2), path, 2000));
+  EXPECT_NE(World::open(path)->checksum(), old->checksum());
+  for (uint32_t level = 0; level < old->levels().size(); ++level)
+    for (uint32_t tile = 0; tile < old->levels()[level].tiles; ++tile) ASSERT_TRUE(old->strip(TileId{level, tile}));
+  std::filesystem::remove(shardOf(path));
+  const auto torn = World::open(path)->openShards();
+  ASSERT_FALSE(torn);
+  EXPECT_EQ(torn.error().code, ErrorCode::kIo);
+}
+
+TEST(Storage, AVersionTellsAFileFromTheOneThatTakesItsPlace) {
+  TemporaryFolder folder;
+  for (const StoragePtr& storage : {posixStorage(), StoragePtr(std::make_shared<MemoryStorage>())}) {
+    const std::string path = folder.file("a");
+    EXPECT_FALSE(storage->version(path));
+    const std::vector<std::byte> bytes(10);
+    std::set<std::string> seen;
+    for (int i = 0; i < 5; ++i) {
+      ASSERT_TRUE(writeWholeFile(*storage, path, bytes));
+      const auto version = storage->version(path);
+      ASSERT_TRUE(version);
+      EXPECT_TRUE(seen.insert(*version).second);
+      EXPECT_EQ(*storage->version(path), *version);
+    }
+  }
 }
 
 TEST_F(Rebake, AReaderGoesOnWithTheWorldThatItOpened) {

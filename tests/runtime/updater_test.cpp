@@ -4,6 +4,7 @@
 
 #include "runtime/full_solve.h"
 #include "tests/formats/faulty_storage.h"
+#include "tests/runtime/lit_state.h"
 #include "tests/runtime/test_world.h"
 #include "tests/stream/test_sources.h"
 
@@ -242,23 +243,6 @@ TEST(Updater, ConvergedRadiosityDependsOnTheObserverAloneNotOnThePath) {
   EXPECT_LE(difference, 2 * 9 * 1e-7f * largest + 1e-6f * largest);
 }
 
-// Of every node of the cut, from its row and its light to the bits that twenty steps from darkness come to.
-std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> stateOf(Updater& updater, Solver& solver) {
-  const LocalMatrix& m = updater.matrix();
-  std::vector<Vec4> radiosity(m.slots());
-  EXPECT_TRUE(solver.setRadiosity(radiosity));
-  EXPECT_TRUE(solver.iterate(20));
-  EXPECT_TRUE(solver.radiosity(radiosity));
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> state;
-  for (const SlotRange& range : m.tiles)
-    for (uint32_t i = 0; i < range.nodes; ++i) {
-      const uint32_t slot = range.first_slot + i;
-      const Vec4 b = radiosity[slot], s = updater.source()[slot], e = updater.emission()[slot];
-      state[{range.id.level, range.first_node + i}] = {b.x, b.y, b.z, s.x, s.y, s.z, e.x, e.y, e.z, static_cast<float>(m.leaf[slot]), static_cast<float>(m.row(slot).size())};
-    }
-  return state;
-}
-
 TEST(Updater, OnceAFaultHasPassedTheStateIsThatOfAWorldWithoutIt) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   const Vec3 first{8, 1, 8}, at{50, 1, 40};
@@ -319,7 +303,7 @@ TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
   ASSERT_TRUE(world) << world.error().line();
   const stream::StreamSettings settings{.radius_m = 8, .hysteresis = 1.0f, .retry_seconds = 0.02f};
   const Vec3 first{8, 1, 8}, at{50, 1, 40};
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  LitState states[2];
   size_t tiles = 0;
   for (const bool outage : {false, true}) {
     const auto streamer = std::move(*stream::Streamer::create(*world, settings));
@@ -352,7 +336,7 @@ TEST(Updater, AnOutageOfTheStorageThatPassesLeavesNoTrace) {
 // has a whole cut, and light that is finite.
 TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> states[2];
+  LitState states[2];
   for (const bool background : {false, true}) {
     const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
     const auto solver = makeCpuGather(1);
@@ -377,6 +361,86 @@ TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
     states[background] = stateOf(updater, *solver);
   }
   EXPECT_EQ(states[0], states[1]);
+}
+
+// After a jump: never more than may, each cut a whole one; the state is that of one without a budget.
+TEST(Updater, AFrameTakesAtMostItsBudgetOfTiles) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  const stream::StreamSettings settings{.radius_m = 8, .hysteresis = 1.0f};
+  const Vec3 first{8, 1, 8}, at{50, 1, 40};
+  constexpr uint32_t kTiles = 4;
+  LitState expected;
+  for (const uint32_t budget : {0u, kTiles})
+    for (const bool background : {false, true}) {
+      const auto streamer = std::move(*stream::Streamer::create(test.world(), settings));
+      const auto solver = makeCpuGather(1);
+      Updater updater(test.world(), *streamer, *solver, FarLight::kPyramid, background, {}, budget);
+      ASSERT_TRUE(updater.setSky(kSky));
+      updater.awaitCut();
+      ASSERT_TRUE(updater.frame(first, {}, 1));
+      ASSERT_TRUE(streamer->settle());
+      updater.awaitCut();
+      ASSERT_TRUE(updater.frame(first, {}, 1));
+      streamer->update(at, {});
+      ASSERT_TRUE(streamer->settle());
+      uint32_t frames = 0, applied = 0, most = 0;
+      for (bool over = false; !over && frames < 1000; ++frames) {
+        const auto stats = updater.frame(at, {}, 1);
+        ASSERT_TRUE(stats) << stats.error().line();
+        updater.awaitBuild();
+        const LocalMatrix& m = updater.matrix();
+        applied += stats->applied_tiles;
+        most = std::max(most, stats->applied_tiles);
+        ASSERT_EQ(stats->applied_tiles, stats->matrix_changed ? updater.change().entered.size() : 0u);
+        for (const uint32_t t : stats->matrix_changed ? updater.change().entered : std::vector<uint32_t>()) {
+          const formats::TileInfo& info = test.world().tiles(m.tiles[t].id.level)[m.tiles[t].id.tile];
+          ASSERT_EQ(m.tiles[t].nodes, info.nodes);
+          ASSERT_TRUE(info.id.level == test.top() || m.parent_slot[m.tiles[t].first_slot] != kNoSlot) << "without its parent";
+        }
+        over = m.tiles.size() == streamer->active().size() && stats->waiting_tiles == 0 && !stats->matrix_changed && applied > 0;
+      }
+      ASSERT_LT(frames, 1000u);
+      EXPECT_GT(applied, 20u);
+      if (budget > 0)
+        EXPECT_LE(most, kTiles);
+      else
+        EXPECT_GT(most, kTiles);
+      const LitState state = stateOf(updater, *solver);
+      if (expected.empty()) expected = state;
+      EXPECT_TRUE(state == expected);
+    }
+}
+
+TEST(CutBudget, LetsTheNearestInParentsFirst) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  const Cut all = test.randomCut(1, 1), some = test.randomCut(0.3, 5);
+  const stream::Observers observer(stream::Observer{{20, 1, 30}, {}});
+  const auto key = [&](const stream::StripPtr& strip) {
+    return std::pair(observer.distance(strip->tile.info().bounds) / test.world().levels()[strip->id.level].cell_m, test.top() - strip->id.level);
+  };
+  for (const uint32_t tiles : {1u, 7u, 50u, 100000u}) {
+    CutBudget budget(test.world(), tiles);
+    Cut there = some;
+    for (int turn = 0; turn < 10; ++turn) {
+      const auto limited = budget.limit(all, there, observer);
+      Cut entered, kept_back;
+      std::ranges::set_difference(limited, there, std::back_inserter(entered), {}, &stream::ResidentStrip::id, &stream::ResidentStrip::id);
+      std::ranges::set_difference(all, limited, std::back_inserter(kept_back), {}, &stream::ResidentStrip::id, &stream::ResidentStrip::id);
+      ASSERT_EQ(entered.size(), std::min<size_t>(tiles, all.size() - there.size()));
+      ASSERT_EQ(kept_back.size(), budget.waiting());
+      if (!entered.empty() && !kept_back.empty()) {
+        EXPECT_LE(key(*std::ranges::max_element(entered, {}, key)), key(*std::ranges::min_element(kept_back, {}, key)));
+      }
+      std::set<formats::TileId> in;
+      for (const stream::StripPtr& strip : limited) in.insert(strip->id);
+      ASSERT_TRUE(std::ranges::is_sorted(limited, {}, [](const stream::StripPtr& s) { return s->id; }));
+      for (const stream::StripPtr& strip : limited)
+        if (strip->id.level < test.top()) {
+          ASSERT_TRUE(in.contains({strip->id.level + 1, strip->tile.info().parent_tile}));
+        }
+      there.assign(limited.begin(), limited.end());
+    }
+  }
 }
 
 TEST(Updater, LightSettlesWhateverTilesThatLeftHadInTheirSlots) {

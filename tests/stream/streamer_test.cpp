@@ -509,6 +509,87 @@ TEST_F(StreamerTest, WhatIsReadAheadKeepsToItsBudgetAndIsGivenUpForWhatIsWanted)
   EXPECT_GT(ahead, 100u);
 }
 
+TEST_F(StreamerTest, WhatIsHintedIsThereWhenAnObserverJumps) {
+  const Vec3 here{10, 1, 12}, there{50, 1, 40};
+  const auto soon = std::chrono::steady_clock::now() + std::chrono::seconds(1);
+  for (const bool moves : {false, true}) {
+    const Vec3 velocity = moves ? Vec3{5, 0, 0} : Vec3{};
+    std::vector<uint32_t> late;
+    for (const bool hinted : {false, true}) {
+      const auto streamer = make(kNoHistory, memory());
+      streamer->update(here, velocity);
+      ASSERT_TRUE(streamer->settle());
+      const uint32_t ahead = streamer->stats().ahead_tiles;
+      const Hint hint{there, soon};
+      if (hinted) streamer->expect({&hint, 1});
+      streamer->update(here, velocity);
+      ASSERT_TRUE(streamer->settle());
+      EXPECT_EQ(streamer->stats().ahead_tiles > ahead, hinted);
+      EXPECT_EQ(ids(*streamer), wantedByDefinition(here, kNoHistory.radius_m, kNoHistory.growth)) << "a hint is no observer";
+      streamer->update(there, velocity);
+      const auto now = ids(*streamer);
+      late.push_back(0);
+      for (const TileId id : wantedByDefinition(there, kNoHistory.radius_m, kNoHistory.growth)) late.back() += !std::ranges::binary_search(now, id);
+    }
+    EXPECT_GT(late[0], 10u);
+    EXPECT_EQ(late[1], 0u);
+  }
+}
+
+TEST_F(StreamerTest, HintsKeepToTheirBudgetTheNearestFirstAndAreForgotten) {
+  using namespace std::chrono_literals;
+  StreamSettings settings = kNoHistory;
+  settings.kept_bytes = 0;
+  settings.hint_bytes = 250000;
+  const Vec3 here{10, 1, 12}, sooner{50, 1, 40}, later{12, 1, 55};
+  const auto streamer = make(settings, memory());
+  streamer->update(here, {});
+  ASSERT_TRUE(streamer->settle());
+  const uint64_t before = streamer->stats().resident_bytes;
+  const auto now = std::chrono::steady_clock::now();
+  const std::array<Hint, 2> hints{Hint{later, now + 60s}, Hint{sooner, now + 30s}};
+  streamer->expect(hints);
+  streamer->update(here, {});
+  ASSERT_TRUE(streamer->settle());
+  EXPECT_LE(streamer->stats().resident_bytes, before + settings.hint_bytes);
+  ASSERT_GT(streamer->stats().ahead_tiles, 5u);
+  // Which are there shows in a jump: within the budget, those of the sooner place by their reach.
+  const auto there = [&](Vec3 place, Vec3 other) {
+    float farthest_there = 0, nearest_absent = 1e9f;
+    std::set<TileId> at_home;
+    for (const Vec3 of : {here, other})
+      for (const TileId id : wantedByDefinition(of, settings.radius_m, settings.growth)) at_home.insert(id);
+    const auto jumped = make(settings, memory());
+    jumped->update(here, {});
+    EXPECT_TRUE(jumped->settle());
+    jumped->expect(hints);
+    jumped->update(here, {});
+    EXPECT_TRUE(jumped->settle());
+    jumped->update(place, {});
+    const auto active = ids(*jumped);
+    for (const TileId id : wantedByDefinition(place, settings.radius_m, settings.growth)) {
+      if (at_home.contains(id)) continue;
+      if (std::ranges::binary_search(active, id))
+        farthest_there = std::max(farthest_there, reach(id, place));
+      else
+        nearest_absent = std::min(nearest_absent, reach(id, place));
+    }
+    return std::pair(farthest_there, nearest_absent);
+  };
+  const auto [farthest_there, nearest_absent] = there(sooner, here);
+  EXPECT_GT(farthest_there, 0);
+  EXPECT_LE(farthest_there, nearest_absent * 1.0001f);
+  EXPECT_EQ(there(later, sooner).first, 0) << "nothing is left for what is wanted later";
+  // Past its time and kHintStays a hint is none.
+  const Hint old{sooner, now - kHintStays - 1s};
+  streamer->expect({&old, 1});
+  streamer->update(here, {});
+  ASSERT_TRUE(streamer->settle());
+  EXPECT_EQ(streamer->stats().ahead_tiles, 0u);
+  EXPECT_EQ(streamer->stats().resident_bytes, before);
+  EXPECT_TRUE(streamer->expected().empty());
+}
+
 TEST_F(StreamerTest, AStillObserverWithNothingUnderWayCausesNoChange) {
   const auto streamer = make(kNoHistory, memory());
   settledAt(*streamer, {20, 1, 20});

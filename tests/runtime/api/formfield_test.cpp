@@ -140,6 +140,54 @@ TEST_F(Formfield, SeveralObserversHaveOneWorld) {
   EXPECT_EQ(formfieldFrameFor(world_, 1, &nowhere), FORMFIELD_ERROR_USAGE);
 }
 
+TEST_F(Formfield, WhatIsExpectedIsThereWhenTheObserverJumps) {
+  uint32_t late[2];
+  for (const bool expected : {false, true}) {
+    open();
+    frame({10, 1, 10});
+    ASSERT_EQ(formfieldSettle(world_, 1e-4f, 100), FORMFIELD_OK);
+    const FormfieldPlace place{{50, 1, 40}, 0.05f};
+    if (expected) {
+      ASSERT_EQ(formfieldExpect(world_, 1, &place), FORMFIELD_OK) << formfieldError(device_);
+    }
+    for (int i = 0; i < 1000 && (i < 20 || stats().pending_tiles > 0); ++i) {
+      frame({10, 1, 10});
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    frame({50, 1, 40});
+    late[expected] = stats().late_tiles;
+    const std::vector<FormfieldPlace> many(FORMFIELD_MAX_OBSERVERS + 1);
+    EXPECT_EQ(formfieldExpect(world_, FORMFIELD_MAX_OBSERVERS, many.data()), FORMFIELD_OK);
+    EXPECT_EQ(formfieldExpect(world_, FORMFIELD_MAX_OBSERVERS + 1, many.data()), FORMFIELD_ERROR_USAGE);
+    EXPECT_EQ(formfieldExpect(world_, 1, nullptr), FORMFIELD_ERROR_USAGE);
+    for (const FormfieldPlace& none : {FormfieldPlace{{NAN, 0, 0}, 1}, FormfieldPlace{{0, 0, 0}, -1}}) EXPECT_EQ(formfieldExpect(world_, 1, &none), FORMFIELD_ERROR_USAGE);
+    EXPECT_EQ(formfieldExpect(world_, 0, nullptr), FORMFIELD_OK);
+    formfieldCloseWorld(std::exchange(world_, nullptr));
+  }
+  EXPECT_GT(late[0], 0u);
+  EXPECT_EQ(late[1], 0u);
+}
+
+TEST_F(Formfield, BudgetsAFramesTilesAndTheBytesOfASecond) {
+  settings_.max_applied_tiles = 3;
+  settings_.read_bytes_per_second = 2000000;
+  open();
+  frame({10, 1, 10});
+  ASSERT_EQ(formfieldSettle(world_, 1e-4f, 100), FORMFIELD_OK);
+  uint32_t waited = 0, applied = 0;
+  for (int i = 0; i < 2000 && (i < 20 || stats().pending_tiles + stats().waiting_tiles > 0); ++i) {
+    frame({50, 1, 40});
+    EXPECT_LE(stats().applied_tiles, 3u);
+    applied += stats().applied_tiles;
+    waited += stats().waiting_tiles > 0;
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_GT(applied, 20u);
+  EXPECT_GT(waited, 0u);
+  EXPECT_GT(stats().reads_held, 0u);
+  EXPECT_EQ(stats().late_tiles, 0u);
+}
+
 TEST_F(Formfield, KeepsItsLastFramesAsFiguresAndAsATrace) {
   settings_.logged_frames = 8;
   open();

@@ -1,7 +1,9 @@
 #include "runtime/api/formfield_vulkan.h"
 
+#include <chrono>
 #include <cmath>
 #include <fstream>
+#include <thread>
 
 #include "runtime/api/formfield_handles.h"
 #include "runtime/choose_solver.h"
@@ -179,7 +181,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     return sum / static_cast<double>(slot_of.size());
   };
 
-  constexpr int kFrames = 160, kAnew = 40;  // from the latter on slots are given out anew, when what was being put together is done
+  constexpr int kFrames = 160, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
   double before = 0;
   bool anew = false;
   for (int frame = 0; frame < kFrames; ++frame) {
@@ -195,17 +197,24 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
       ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     // In from afar, then still: cuts change while frames are in flight.
     const double at[3] = {std::max(16.0, 28 - 0.2 * frame), 1, 16};
+    if (frame == kReload) {  // a re-bake, of the same bytes, with frames in flight
+      before = meanLight();
+      ASSERT_EQ(formfieldReload(world), FORMFIELD_OK);
+      for (int i = 0; i < 5000 && !world->reloader->ready(); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      ASSERT_TRUE(world->reloader->ready()) << formfieldReloadFailure(world);
+    }
     if (frame == kAnew) {
       before = meanLight();
-      world->updater.renumberNext();
+      world->updater().renumberNext();
     }
-    if (frame > kAnew && frame <= kAnew + 2) world->updater.awaitBuild();
+    if (frame > kAnew && frame <= kAnew + 2) world->updater().awaitBuild();
     const uint64_t submissions = device_->submissions();
     ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
     EXPECT_EQ(device_->submissions(), submissions) << "frame " << frame << " has waited for the device";
-    anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater.change().renumbered);
+    anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater().change().renumbered);
     EXPECT_TRUE(frame != kAnew + 2 || anew);
-    if (frame >= kAnew && frame < kAnew + 6) {
+    EXPECT_EQ(world->reloads, frame < kReload ? 0u : 1u);
+    if ((frame >= kAnew && frame < kAnew + 6) || (frame >= kReload && frame < kReload + 6)) {
       EXPECT_NEAR(meanLight(), before, 0.1 * before) << "frame " << frame;
     }
     ASSERT_EQ(vkEndCommandBuffer(commands[ring]), VK_SUCCESS);
