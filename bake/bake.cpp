@@ -69,7 +69,7 @@ constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
 constexpr double kBacksShare = 0.01;
 
 // Memory for Embree's trees: of what there is when they are built, one in so many.
-constexpr uint64_t kTrees = 4;
+constexpr uint64_t kTrees = 5;
 
 // What sampling a tile's rows showed.
 struct Sampling {
@@ -309,7 +309,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   stats.triangles = scene.triangles.size();
   stats.without_area = scene.without_area;
   const auto cast_began = Clock::now();
-  PutAside hits(n, path, spareMemory(settings.memory_bytes) / 4);
+  PutAside hits(n, path, spareMemory(settings.memory_bytes) / 8);
   {
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
@@ -355,7 +355,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
   uint64_t tiles_total = 0;
   for (const auto& t : hierarchy.tile_start) tiles_total += t.size() - 1;
-  Spill rows_aside(path, spareMemory(settings.memory_bytes) / 4);
+  Spill rows_aside(path, spareMemory(settings.memory_bytes) / 8);
   PagedVector<double> density(n);
   for (size_t i = 0; i < n; ++i) density[hierarchy.number[i]] = hits.sight[i].rays / static_cast<double>(whole_area[i]);
   std::vector<LevelRows> levels;

@@ -10,7 +10,7 @@
 
 namespace ff::bake {
 
-// While one lives, large arrays that are made are files once those in memory come to an eighth of the limit, and no more of their pages are held than what
+// While one lives, large arrays that are made are files once those in memory come to a sixteenth of the limit, and no more of their pages are held than what
 // the process holds besides leaves room for. Several may live; the smallest limit counts. Where the disk is full, arrays throw SpillFailed (spill.h) as they are made.
 class Paging {
  public:
