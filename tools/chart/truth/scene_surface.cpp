@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <span>
 
 namespace ff::chart {
 namespace {
@@ -13,7 +14,7 @@ float decoded(uint8_t srgb) {  // IEC 61966-2-1:1999
 }
 
 // Index of the first byte of the nearest texel.
-size_t texelAt(const bake::Scene& scene, const std::vector<bake::Vec2>& coordinates, uint32_t triangle, float u, float v,
+size_t texelAt(const bake::Scene& scene, std::span<const bake::Vec2> coordinates, uint32_t triangle, float u, float v,
                const bake::Image& image, bool repeat) {
   const auto& corner = scene.triangles[triangle].v;
   const bake::Vec2 a = coordinates[corner[0]], b = coordinates[corner[1]], c = coordinates[corner[2]];
