@@ -131,13 +131,13 @@ class Pager {
     return at;
   }
 
-  // Lets pages go in turn once the process holds three quarters of the limit, until it holds half of what it may of them. They stay in the system's cache while
+  // Lets pages go in turn once the process holds seven eighths of the limit, until it holds half of what it may of them. They stay in the system's cache while
   // that has room, and come back with a fault: many at a time and quickly, hence the room that is left.
   void keep(std::stop_token stop) {
     std::unique_lock lock(mutex_);
     std::pair<std::byte*, size_t> hand{nullptr, 0};  // an array, and how far it has been let go
     while (!stop.stop_requested() && !limits_.empty()) {
-      const uint64_t most = limit() / 4 * 3;
+      const uint64_t most = limit() / 8 * 7;
       auto pause = kLook;
       if (const ResidentMemory now = residentMemory(); !files_.empty() && now.all > most) {
         const uint64_t others = now.all - now.files, left = others + (most - std::min(most, others)) / 2;
