@@ -22,7 +22,7 @@ namespace {
 
 // Measured on towns and rooms; they need to be right within a factor of two only.
 constexpr double kBytesAPiece = 200, kBytesATriangle = 215, kBytesAPatch = 140, kBytesAMergedPatch = 150;
-constexpr double kLeastBytes = 64e6, kLeastAPatch = 20, kLeastAThread = 8e6;  // never in files
+constexpr double kLeastBytes = 64e6, kLeastAPatch = 20, kLeastAThread = 8e6;  // never in files; reckoned
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
 constexpr double kSurelyOnDisk = 0.5;  // of the estimate
 constexpr double kRaysAtError = 2200, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
@@ -122,7 +122,8 @@ Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const B
   std::string remedy = "allow more";
   BakeSettings larger = settings;
   larger.cell_m = static_cast<float>(e.cell_m);
-  for (int doubled = 0; doubled < 10; ++doubled) {
+  const bool by_patches = e.least_memory_bytes - e.patches * kLeastAPatch <= 0.8 * free;
+  for (int doubled = 0; by_patches && doubled < 10; ++doubled) {
     larger.cell_m *= 2;
     if (estimateBake(scene, larger).least_memory_bytes > 0.8 * free) continue;
     char size[32];

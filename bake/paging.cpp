@@ -49,7 +49,7 @@ class Pager {
     const std::lock_guard lock(mutex_);
     if (limits_.empty()) most_paged_ = paged_;
     limits_.push_back({who, std::move(folder), limit_bytes});
-    if (!keeper_.joinable()) keeper_ = std::jthread([this](std::stop_token stop) { keep(stop); });
+    if (!files_.empty()) watch();
   }
 
   void end(const Paging* who) {
@@ -71,6 +71,7 @@ class Pager {
       throw std::bad_alloc();
     }
     const std::string folder = limits_.back().folder;
+    watch();
     lock.unlock();
     void* at = map(folder, bytes);
     lock.lock();
@@ -110,6 +111,11 @@ class Pager {
 
   uint64_t limit() const {
     return std::ranges::min_element(limits_, {}, &Limit::bytes)->bytes;
+  }
+
+  // From the first file on, while there is a limit.
+  void watch() {
+    if (!keeper_.joinable()) keeper_ = std::jthread([this](std::stop_token stop) { keep(stop); });
   }
 
   static void* map(const std::string& folder, size_t bytes) {
@@ -172,7 +178,7 @@ class Pager {
 }  // namespace
 
 Paging::Paging(std::string folder, uint64_t limit_bytes) {
-  Pager::get().begin(this, folder.empty() ? "." : std::move(folder), limit_bytes > 0 ? limit_bytes : freeMemory());
+  Pager::get().begin(this, folder.empty() ? "." : std::move(folder), limit_bytes > 0 ? limit_bytes : residentMemory().all + freeMemory());
 }
 Paging::~Paging() { Pager::get().end(this); }
 

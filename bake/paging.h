@@ -14,7 +14,7 @@ namespace ff::bake {
 // the process holds besides leaves room for. Several may live; the smallest limit counts. Where the disk is full, arrays throw SpillFailed (spill.h) as they are made.
 class Paging {
  public:
-  // folder: of the files. limit_bytes: most that the process is to hold; 0: what is free now.
+  // folder: of the files. limit_bytes: most that the process is to hold; 0: what it holds and what is free now.
   Paging(std::string folder, uint64_t limit_bytes);
   ~Paging();
   Paging(const Paging&) = delete;

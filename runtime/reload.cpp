@@ -38,13 +38,17 @@ Result<void> Generation::prepare(const formats::WorldInfo& before, const std::fu
   if (streamer->stats().failed > 0) return Error{ErrorCode::kInvalidFile, "", "", streamer->lastFailure(), ""};
   if (auto built = updater.prepare(before); !built) return built;
   if (!probes) return {};
-  const LocalMatrix& matrix = updater.matrix();
   std::vector<ProbeTile> tiles;
-  for (size_t t = 0; t < matrix.tiles.size(); ++t) tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater.strip(t).nodes});
-  slots.follow(matrix.tiles);
-  probes->follow(where(), tiles, matrix.leaf, 0);
+  listProbeTiles(tiles);
+  slots.follow(updater.matrix().tiles);
+  probes->follow(where(), tiles, updater.matrix().leaf, 0);
   wait([&] { return !probes->settled(); });
   return {};
+}
+
+void Generation::listProbeTiles(std::vector<ProbeTile>& tiles) const {
+  tiles.clear();
+  for (const auto& tile : updater.matrix().tiles) tiles.push_back({tile.id, tile.first_slot, updater.strip(tiles.size()).nodes});
 }
 
 Reloader::Reloader(std::string path, float seconds, std::string known, const formats::World& shown, Open open)

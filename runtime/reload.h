@@ -11,6 +11,7 @@
 #include <set>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "formats/read/reader.h"
 #include "runtime/cut/slot_map.h"
@@ -36,6 +37,8 @@ struct Generation {
   // Before the first frame: brings near what observers want, puts its matrix together and loads the probes' triangles, for kMaxPrepareSeconds at most
   // or until `stop`. where: asked time and again for the observers, in this world's coordinates. Errors: a shard is missing or too short, a strip near the observers cannot be read.
   Result<void> prepare(const formats::WorldInfo& before, const std::function<stream::Observers()>& where, const std::atomic<bool>& stop);
+  // The cut's tiles as Probes::follow() takes them.
+  void listProbeTiles(std::vector<ProbeTile>& tiles) const;
 
   const std::unique_ptr<const formats::World> world;
   const std::unique_ptr<stream::Streamer> streamer;

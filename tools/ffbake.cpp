@@ -16,6 +16,7 @@
 
 #include "bake/bake.h"
 #include "bake/import/files.h"
+#include "bake/paging.h"
 #include "bake/plan/cache.h"
 #include "formats/storage/storage.h"
 #include "formats/version.h"

@@ -85,7 +85,7 @@ struct RayCaster::State {
   // Triangles that lie near each other.
   struct Part {
     const State* state = nullptr;
-    Box box;                              // m; wider by Embree's errors
+    Box box;                              // m
     uint32_t first_block = 0, blocks = 0;
     std::atomic<RTCScene> tree{nullptr};  // over the blocks; null: not built at present
     std::atomic<uint32_t> users{0};       // threads that may be in it
@@ -568,7 +568,7 @@ RTCScene RayCaster::State::treeOf(Part& part) const {
     tree = part.tree;
     if (!tree && !failed) {
       tbb::this_task_arena::isolate([&] { tree = makeTree(part); });  // whoever waits for it may not begin what waits for this lock
-      part.used_at = ++clock;
+      ++clock;
       part.tree = tree;
       letGo();
     }

@@ -207,6 +207,20 @@ void FormfieldWorld_T::makeReloader(std::string known) {
   });
 }
 
+namespace {
+
+// What is counted from the start on, and goes on over a re-bake.
+void addCounts(const stream::StreamStats& more, stream::StreamStats& sum) {
+  for (const auto count : {&stream::StreamStats::strips_read, &stream::StreamStats::bytes_read, &stream::StreamStats::evicted, &stream::StreamStats::cancelled,
+                           &stream::StreamStats::failed, &stream::StreamStats::reads_held})
+    sum.*count += more.*count;
+}
+void addCounts(const ProbeStats& more, ProbeStats& sum) {
+  for (const auto count : {&ProbeStats::traced, &ProbeStats::kept, &ProbeStats::refused}) sum.*count += more.*count;
+}
+
+}  // namespace
+
 // Between two frames.
 void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   if (!reloader) return;
@@ -220,39 +234,21 @@ void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   std::ranges::transform(expected, hints.begin(), [&](const stream::Hint& hint) { return stream::Hint{hint.at + step, hint.due}; });
   shown->streamer->expect(std::span(hints).first(expected.size()));
   updater().goOnFrom(leaving->updater);
-  const stream::StreamStats strips = leaving->streamer->stats();
-  strips_before.strips_read += strips.strips_read;
-  strips_before.bytes_read += strips.bytes_read;
-  strips_before.evicted += strips.evicted;
-  strips_before.cancelled += strips.cancelled;
-  strips_before.failed += strips.failed;
-  strips_before.reads_held += strips.reads_held;
-  if (leaving->probes) {
-    const ProbeStats probes = leaving->probes->stats();
-    probes_before.traced += probes.traced;
-    probes_before.kept += probes.kept;
-    probes_before.refused += probes.refused;
-  }
+  addCounts(leaving->streamer->stats(), strips_before);
+  if (leaving->probes) addCounts(leaving->probes->stats(), probes_before);
   followed = ~uint64_t{0};
   ++reloads;
 }
 
 stream::StreamStats FormfieldWorld_T::streamStats() const {
   stream::StreamStats stats = shown->streamer->stats();
-  stats.strips_read += strips_before.strips_read;
-  stats.bytes_read += strips_before.bytes_read;
-  stats.evicted += strips_before.evicted;
-  stats.cancelled += strips_before.cancelled;
-  stats.failed += strips_before.failed;
-  stats.reads_held += strips_before.reads_held;
+  addCounts(strips_before, stats);
   return stats;
 }
 
 ProbeStats FormfieldWorld_T::probeStats() const {
   ProbeStats stats = shown->probes->stats();
-  stats.traced += probes_before.traced;
-  stats.kept += probes_before.kept;
-  stats.refused += probes_before.refused;
+  addCounts(probes_before, stats);
   return stats;
 }
 
@@ -369,14 +365,11 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
 Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<const Vec3> normals, std::span<Vec3> out) {
   if (!shown->probes) return usageError("probes", "the world was opened without", "set FormfieldWorldSettings::probes");
   if (change == 0) return usageError("world", "has had no frame yet", "call formfieldFrame first");
-  const LocalMatrix& matrix = updater().matrix();
   if (change != followed) {
     followed = change;
-    probe_tiles.clear();
-    for (size_t t = 0; t < matrix.tiles.size(); ++t)
-      probe_tiles.push_back({matrix.tiles[t].id, matrix.tiles[t].first_slot, updater().strip(t).nodes});
+    shown->listProbeTiles(probe_tiles);
   }
-  shown->probes->follow(observers, probe_tiles, matrix.leaf, change);
+  shown->probes->follow(observers, probe_tiles, updater().matrix().leaf, change);
   shown->probes->sample(points, normals, radiosity, sky, out);
   return {};
 }

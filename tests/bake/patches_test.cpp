@@ -61,7 +61,7 @@ PatchSet floorUnderRug(float gap_m) {
   return *makePatches(s, {.cell_m = 1}, &*caster);
 }
 
-TEST(Patches, MorePiecesThanThereIsMemoryForAreRefusedInOneLine) {
+TEST(Patches, MorePiecesThanAreAllowedAreRefusedInOneLine) {
   // A floor in four cells, which is two triangles, is ten pieces or less; what stands on it cuts it into more than can be told beforehand.
   Scene s;
   const uint32_t m = addMaterial(s, {.5f, .5f, .5f});
