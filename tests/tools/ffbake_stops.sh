@@ -128,10 +128,12 @@ cmp <(shards whole) <(shards killed) || fail "a bake without memory changed the 
 # A disk that fills up under a bake that puts aside what memory has no room for: one line, and nothing is left.
 mkdir tiny
 if mount -t tmpfs -o size=1m tmpfs tiny 2>/dev/null; then
+  trap "umount '$PWD/tiny'" EXIT
   expect 0 "$ffscene" town --patches 12k -o more.glb
   expect 2 "$ffbake" more.glb -o tiny/w.ffm --patch-size 1 --rays 64 --samples 16 --no-geometry --no-cache --memory 95M --quiet
   line 'make room on that disk, or give more --memory'
-  left=$(ls tiny); umount tiny
+  left=$(ls tiny)
+  umount tiny && trap - EXIT
   [ -z "$left" ] || fail "left on a full disk: $left"
 else
   echo "NOT TRIED: a disk that fills up (no right to mount one)"
