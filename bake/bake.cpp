@@ -68,8 +68,8 @@ constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
 // So much of the light that ends on the backs of single-sided surfaces is worth a line.
 constexpr double kBacksShare = 0.01;
 
-// Memory for Embree's trees: of what there is when they are built, one in so many.
-constexpr uint64_t kTreesOf = 5;
+// Memory for what rays are cast at: a share of what there is when it is made.
+constexpr double kCasterShare = 0.45;
 
 // What sampling a tile's rows showed.
 struct Sampling {
@@ -263,7 +263,7 @@ Result<std::unique_ptr<Surface>> makeSurface(const Scene& whole, const BakeSetti
   const Scene& scene = surface->scene;
   if (auto ok = checkSettings(scene, settings); !ok) return ok.error();
   if (auto ok = check(scene); !ok) return ok.error();
-  auto caster = RayCaster::create(scene, spareMemory(settings.memory_bytes) / kTreesOf);
+  auto caster = RayCaster::create(scene, static_cast<uint64_t>(kCasterShare * static_cast<double>(spareMemory(settings.memory_bytes))));
   if (!caster) return caster.error();
   surface->caster.emplace(std::move(*caster));
   ProgressReport report(progress, "patches", 0, settings.stop);

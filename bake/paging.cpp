@@ -27,13 +27,18 @@ constexpr uint64_t kInMemory = 16;       // large arrays: a share of the limit, 
 constexpr auto kLook = 2ms;              // how often what is held is looked at
 constexpr size_t kSlice = size_t{256} << 20;  // of an array, that is let go together; a small part of it is held
 
-// An open file that no folder names.
+[[noreturn]] void fail(const std::string& folder, int fault) {
+  throw SpillFailed{{ErrorCode::kIo, folder, "", std::string("cannot put aside what memory has no room for: ") + std::strerror(fault),
+                     "make room on that disk, or give more --memory"}};
+}
+
 int openUnnamed(const std::string& folder) {
   const int file = ::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
   if (file >= 0) return file;
   std::string name = folder + (folder.ends_with('/') ? "" : "/") + ".ffbake-XXXXXX";  // file systems without such files
   const int named = ::mkostemp(name.data(), O_CLOEXEC);
-  if (named >= 0) ::unlink(name.c_str());
+  if (named < 0) fail(folder, errno);
+  ::unlink(name.c_str());
   return named;
 }
 
@@ -47,7 +52,7 @@ class Pager {
 
   void begin(const Paging* who, std::string folder, uint64_t limit_bytes) {
     const std::lock_guard lock(mutex_);
-    if (limits_.empty()) most_paged_ = paged_;
+    if (limits_.empty()) most_aside_ = paged_ + unmapped_;
     limits_.push_back({who, std::move(folder), limit_bytes});
     if (!files_.empty()) watch();
   }
@@ -77,7 +82,7 @@ class Pager {
     lock.lock();
     files_.emplace(static_cast<std::byte*>(at), bytes);
     paged_ += bytes;
-    most_paged_ = std::max(most_paged_, paged_);
+    most_aside_ = std::max(most_aside_, paged_ + unmapped_);
     return at;
   }
 
@@ -96,9 +101,22 @@ class Pager {
     ::operator delete(at, kAlignment);
   }
 
-  PagedBytes paged() {
+  // The folder of files; empty: there is no limit.
+  std::string folder() {
     const std::lock_guard lock(mutex_);
-    return {paged_, most_paged_};
+    return limits_.empty() ? "" : limits_.back().folder;
+  }
+
+  // Of files that are not mapped.
+  void addUnmapped(int64_t bytes) {
+    const std::lock_guard lock(mutex_);
+    unmapped_ += static_cast<uint64_t>(bytes);
+    most_aside_ = std::max(most_aside_, paged_ + unmapped_);
+  }
+
+  PagedBytes aside() {
+    const std::lock_guard lock(mutex_);
+    return {paged_ + unmapped_, most_aside_};
   }
 
  private:
@@ -119,21 +137,18 @@ class Pager {
   }
 
   static void* map(const std::string& folder, size_t bytes) {
-    const auto fail = [&](int fault) {
-      throw SpillFailed{{ErrorCode::kIo, folder, "", std::string("cannot put aside what memory has no room for: ") + std::strerror(fault),
-                         "make room on that disk, or give more --memory"}};
-    };
     const int file = openUnnamed(folder);
-    if (file < 0) fail(errno);
     if (const int fault = ::posix_fallocate(file, 0, static_cast<off_t>(bytes))) {  // else a full disk would end the process when a page is touched
       ::close(file);
-      fail(fault);
+      fail(folder, fault);
     }
     void* at = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     const int fault = errno;
     ::close(file);
-    if (at == MAP_FAILED) fail(fault);
-    ::madvise(at, bytes, MADV_NOHUGEPAGE);  // a byte that is touched is not to bring 2 MiB with it; systems without such pages refuse
+    if (at == MAP_FAILED) fail(folder, fault);
+    // A byte that is touched is not to bring 2 MiB with it: nothing is read ahead, else the system's cache has large folios, which newer kernels map whole.
+    ::madvise(at, bytes, MADV_NOHUGEPAGE);  // systems without such pages refuse
+    ::madvise(at, bytes, MADV_RANDOM);
     return at;
   }
 
@@ -142,13 +157,18 @@ class Pager {
   void keep(std::stop_token stop) {
     std::unique_lock lock(mutex_);
     std::pair<std::byte*, size_t> hand{nullptr, 0};  // an array, and how far it has been let go
+    uint64_t code = ~uint64_t{0};                    // pages of files that are not arrays: what was left when all of those had been let go
     while (!stop.stop_requested() && !limits_.empty()) {
       const uint64_t most = limit() / 8 * 7;
       auto pause = kLook;
       if (const ResidentMemory now = residentMemory(); !files_.empty() && now.all > most) {
-        const uint64_t others = now.all - now.files, left = others + (most - std::min(most, others)) / 2;
+        const uint64_t others = now.all - now.files + (code == ~uint64_t{0} ? 0 : std::min(code, now.files)), left = others + (most - std::min(most, others)) / 2;
         uint64_t visited = 0;
         for (; visited < paged_ && residentMemory().all > left; visited += letGo(hand)) continue;
+        if (visited >= paged_) {  // once more, and at once
+          for (const auto& [at, bytes] : files_) ::madvise(at, bytes, MADV_DONTNEED);
+          code = std::min(code, residentMemory().files);
+        }
         if (others >= most) pause *= 8;  // it is not the arrays
       }
       wake_.wait_for(lock, stop, pause, [] { return false; });
@@ -171,7 +191,8 @@ class Pager {
   std::condition_variable_any wake_;
   std::vector<Limit> limits_;
   std::map<std::byte*, size_t> files_;  // mapped, by address
-  uint64_t in_memory_ = 0, paged_ = 0, most_paged_ = 0;  // of large arrays, B
+  uint64_t in_memory_ = 0, paged_ = 0;  // of large arrays, B
+  uint64_t unmapped_ = 0, most_aside_ = 0;
   std::jthread keeper_;
 };
 
@@ -182,8 +203,37 @@ Paging::Paging(std::string folder, uint64_t limit_bytes) {
 }
 Paging::~Paging() { Pager::get().end(this); }
 
-PagedBytes pagedBytes() { return Pager::get().paged(); }
+PagedBytes pagedBytes() { return Pager::get().aside(); }
+bool isPaging() { return !Pager::get().folder().empty(); }
 void* allocateLarge(size_t bytes) { return Pager::get().allocate(bytes); }
 void freeLarge(void* at, size_t bytes) noexcept { Pager::get().free(at, bytes); }
+
+UnnamedFile::UnnamedFile() : folder_(Pager::get().folder()), file_(openUnnamed(folder_)) {}
+
+UnnamedFile::~UnnamedFile() {
+  ::close(file_);
+  Pager::get().addUnmapped(-static_cast<int64_t>(bytes_));
+}
+
+void UnnamedFile::append(std::span<const std::byte> bytes) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::pwrite(file_, bytes.data(), bytes.size(), static_cast<off_t>(bytes_));
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) fail(folder_, written < 0 ? errno : ENOSPC);
+    bytes_ += static_cast<uint64_t>(written);
+    Pager::get().addUnmapped(written);
+    bytes = bytes.subspan(static_cast<size_t>(written));
+  }
+}
+
+void UnnamedFile::read(uint64_t at, std::span<std::byte> out) const {
+  while (!out.empty()) {
+    const ssize_t read = ::pread(file_, out.data(), out.size(), static_cast<off_t>(at));
+    if (read < 0 && errno == EINTR) continue;
+    if (read <= 0) fail(folder_, read < 0 ? errno : EIO);
+    at += static_cast<uint64_t>(read);
+    out = out.subspan(static_cast<size_t>(read));
+  }
+}
 
 }  // namespace ff::bake

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <new>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -21,9 +22,12 @@ class Paging {
   Paging& operator=(const Paging&) = delete;
 };
 
+// Whether one lives.
+bool isPaging();
+
 inline constexpr size_t kPagedBytes = size_t{1} << 20;  // smaller arrays are always in memory
 
-// Of arrays that are files, whole, B: at present, and the most since the first Paging that lives began.
+// Of arrays that are files, whole, and of UnnamedFiles, B: at present, and the most since the first Paging that lives began.
 struct PagedBytes {
   uint64_t now = 0, most = 0;
 };
@@ -32,6 +36,24 @@ PagedBytes pagedBytes();
 // At least kPagedBytes; aligned to a page. Thread-safe.
 void* allocateLarge(size_t bytes);
 void freeLarge(void* at, size_t bytes) noexcept;
+
+// A file that no folder names, in that of the Paging that lives; gone with the process however that ends. Throws SpillFailed.
+class UnnamedFile {
+ public:
+  UnnamedFile();
+  ~UnnamedFile();
+  UnnamedFile(const UnnamedFile&) = delete;
+  UnnamedFile& operator=(const UnnamedFile&) = delete;
+
+  void append(std::span<const std::byte> bytes);
+  // Fills out with what was appended there. Thread-safe, but for append().
+  void read(uint64_t at, std::span<std::byte> out) const;
+
+ private:
+  std::string folder_;
+  int file_;
+  uint64_t bytes_ = 0;
+};
 
 template <class T>
 struct PagedAllocator {

@@ -2,8 +2,10 @@
 
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -215,7 +217,10 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
 void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done, const TakeRows& take) {
   const std::vector<uint32_t> start = castRanges(set);
   const RowCaster rows(scene, set, caster, budget, seed);
-  tbb::parallel_for(size_t{0}, start.size() - 1, [&](size_t r) { take(start[r], rows.cast(start[r], start[r + 1], nullptr, done)); });
+  std::atomic<size_t> next{0};
+  tbb::parallel_for(0, tbb::this_task_arena::max_concurrency(), [&](int) {  // in order: all threads are in one neighbourhood, of which memory holds what they need
+    for (size_t r = next++; r + 1 < start.size(); r = next++) take(start[r], rows.cast(start[r], start[r + 1], nullptr, done));
+  }, tbb::simple_partitioner());
 }
 
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done) {

@@ -19,8 +19,8 @@
 #include <vector>
 
 #include "bake/paging.h"
+#include "bake/rays/block_store.h"
 #include "bake/rays/surface_sampling.h"
-#include "bake/rays/triangle_block.h"
 
 namespace ff::bake {
 namespace {
@@ -38,6 +38,8 @@ constexpr float kMargin = 1.2e-6f, kReach = 1.25f;
 constexpr float kShortAxis = 0x1p-10f;
 // What a tree takes of memory for each of its triangles, B, about (towns: 27, in parts 21); triangles of a part, of whose trees kTrees at least fit.
 constexpr double kTreeBytes = 30, kTrees = 8;
+constexpr double kBlockBytes = sizeof(Block) / 3.7;  // likewise, of blocks
+constexpr uint64_t kBlocksOf = 5;                   // what is held of blocks, where not all are: of the memory for trees, one in so many
 constexpr size_t kLeastPart = size_t{1} << 6, kMostPart = size_t{1} << 15;
 // Rounds distances up: three low bits of Embree's distances to boxes hold something else.
 constexpr float kUp = 1 + 0x1p-19f;
@@ -98,8 +100,7 @@ struct RayCaster::State {
   RTCScene top = nullptr;                   // over the parts, where there are several; else the tree of the only one
   std::unique_ptr<Part[]> parts;
   size_t part_count = 0;
-  PagedVector<TriangleBlock> blocks;        // by part
-  PagedVector<Corners> block_corners;       // kWide a block
+  std::unique_ptr<BlockStore> blocks;       // by part
   PagedVector<uint8_t> cutout;              // per scene triangle
   PagedVector<float> offsets;               // per scene triangle, m
   Vec3 largest;                             // coordinates, m
@@ -136,18 +137,19 @@ struct RayCaster::State {
   void letGo() const;
   RTCScene treeOf(Part& part) const;
   void checkTrees() const {
+    if (blocks->failed()) throw std::runtime_error(blocks->error());
     if (failed.load(std::memory_order_relaxed)) {
       const std::lock_guard lock(mutex);
       throw std::runtime_error("Embree: " + error);
     }
   }
 
-  // A part whose tree stays while this lives.
+  // A part whose tree stays while this lives. only_built: it is not built where there is none.
   class Visit {
    public:
-    explicit Visit(Part& part) : part_(part) {
+    explicit Visit(Part& part, bool only_built = false) : part_(part) {
       ++part_.users;
-      tree_ = part.state->treeOf(part);
+      tree_ = only_built && !part.tree ? nullptr : part.state->treeOf(part);
     }
     ~Visit() { --part_.users; }
     Visit(const Visit&) = delete;
@@ -213,17 +215,15 @@ struct RayCaster::State {
     }
 
     // Whether one of a block is nearer, or as near and lower in number, than what was met before. may_meet: a bit for each.
-    bool meetBlock(const State& state, size_t number, unsigned may_meet) {
-      const Corners* corners = &state.block_corners[kWide * number];
-      const TriangleBlock& block = state.blocks[number];
+    bool meetBlock(const State& state, const Block& block, unsigned may_meet) {
       bool any = false;
       for (unsigned in = may_meet; in; in &= in - 1) {
         const auto i = static_cast<size_t>(__builtin_ctz(in));
-        const auto hit = meet(ray, corners[i], from_m);
-        if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.triangle[i] > triangle)) continue;
-        const bool on_front = dot(normalOf(corners[i]), ray.direction) < 0;
-        if (!state.stops(block.triangle[i], *hit, on_front, facing, holes)) continue;
-        triangle = block.triangle[i];
+        const auto hit = meet(ray, block.corners[i], from_m);
+        if (!hit || hit->distance_m > to_m || (hit->distance_m == to_m && block.planes.triangle[i] > triangle)) continue;
+        const bool on_front = dot(normalOf(block.corners[i]), ray.direction) < 0;
+        if (!state.stops(block.planes.triangle[i], *hit, on_front, facing, holes)) continue;
+        triangle = block.planes.triangle[i];
         front = on_front;
         to_m = hit->distance_m;
         any = true;
@@ -247,45 +247,74 @@ struct RayCaster::State {
   struct Together {
     RTCIntersectContext embree;  // first: Embree hands back a pointer to it
     const State& state;
+    const BlockStore::Reader blocks;
     Cast* casts;                                     // by the number that Embree's rays have
     alignas(64) std::array<float, kTogether> error;  // RayPacket::error
+    std::vector<Part*>* put_off = nullptr;           // parts without a tree that rays to be occluded came through, where they are left for later
 
-    Together(const State& s, Cast* c) : state(s), casts(c) { rtcInitIntersectContext(&embree); }
+    Together(const State& s, Cast* c) : state(s), blocks(*s.blocks), casts(c) { rtcInitIntersectContext(&embree); }
     static Together& of(RTCIntersectContext* context) { return *reinterpret_cast<Together*>(context); }
 
     // f(place of a ray, its cast) for those that a block stops nearer than anything did before.
     template <class F>
     void meetBlock(RTCRayN* rays, unsigned n, const int* valid, unsigned number, F f) const {
-      const TriangleBlock& block = state.blocks[number];
-      __builtin_prefetch(&state.block_corners[kWide * number]);
-      __builtin_prefetch(&state.block_corners[kWide * number + 2]);
+      const Block& block = blocks[number];
+      __builtin_prefetch(&block.corners[0]);
+      __builtin_prefetch(&block.corners[2]);
       if (n == kTogether) {  // else 1, or as many as instruction sets before avx512 take
         const RTCRay16& r = *reinterpret_cast<const RTCRay16*>(rays);
         alignas(64) uint32_t may_meet[kTogether];
-        unsigned left = mayMeet(block, {r.org_x, r.org_y, r.org_z, r.dir_x, r.dir_y, r.dir_z, r.tnear, r.tfar, error.data(), valid}, may_meet);
+        unsigned left = mayMeet(block.planes, {r.org_x, r.org_y, r.org_z, r.dir_x, r.dir_y, r.dir_z, r.tnear, r.tfar, error.data(), valid}, may_meet);
         for (; left; left &= left - 1) {
           const auto i = static_cast<unsigned>(__builtin_ctz(left));
-          if (casts[i].meetBlock(state, number, may_meet[i])) f(i, casts[i]);
+          if (casts[i].meetBlock(state, block, may_meet[i])) f(i, casts[i]);
         }
         return;
       }
       for (unsigned i = 0; i < n; ++i) {
         if (!valid[i]) continue;
         Cast& cast = casts[RTCRayN_id(rays, n, i)];
-        const unsigned may_meet = mayMeet(block, BlockRay(cast.ray), static_cast<float>(cast.from_m), up(cast.to_m));
-        if (cast.meetBlock(state, number, may_meet)) f(i, cast);
+        const unsigned may_meet = mayMeet(block.planes, BlockRay(cast.ray), static_cast<float>(cast.from_m), up(cast.to_m));
+        if (cast.meetBlock(state, block, may_meet)) f(i, cast);
       }
     }
   };
+
+  static void occlude(RTCScene tree, RTCIntersectContext* context, RTCRayN* rays, unsigned n, const int* valid) {
+    switch (n) {
+      case 1: return rtcOccluded1(tree, context, reinterpret_cast<RTCRay*>(rays));
+      case 4: return rtcOccluded4(valid, tree, context, reinterpret_cast<RTCRay4*>(rays));
+      case 8: return rtcOccluded8(valid, tree, context, reinterpret_cast<RTCRay8*>(rays));
+      default: return rtcOccluded16(valid, tree, context, reinterpret_cast<RTCRay16*>(rays));
+    }
+  }
+
+  // Parts that have trees come first, wherever they stand on the way: most rays end there, and no tree is built for them.
+  void occludeAll(Together& together, RTCRayN* rays, unsigned n, int* valid) const {
+    std::vector<Part*> without_tree;
+    together.put_off = &without_tree;
+    occlude(top, &together.embree, rays, n, valid);
+    for (Part* part : without_tree) {
+      bool left = false;
+      for (unsigned i = 0; i < n; ++i) {
+        if (RTCRayN_tfar(rays, n, i) == -kInfinity) valid[i] = 0;
+        left |= valid[i] != 0;
+      }
+      if (!left) return;
+      const Visit visit(*part);
+      if (visit.tree()) occlude(visit.tree(), &together.embree, rays, n, valid);
+    }
+  }
 
   // any: until something is met, whatever it is.
   void find(Cast& cast, bool any) const {
     if (!cast.comesNear()) return;
     Together together(*this, &cast);
     RTCRayHit ray;
+    int valid = -1;
     cast.put(reinterpret_cast<RTCRayN*>(&ray.ray), 1, 0);
     ray.hit.geomID = ray.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    if (any) rtcOccluded1(top, &together.embree, &ray.ray);
+    if (any) occludeAll(together, reinterpret_cast<RTCRayN*>(&ray.ray), 1, &valid);
     else rtcIntersect1(top, &together.embree, &ray);
     checkTrees();
   }
@@ -303,7 +332,7 @@ struct RayCaster::State {
       rays.hit.geomID[i] = rays.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
       together.error[i] = originError(casts[i].ray.origin);
     }
-    if (any) rtcOccluded16(valid.data(), top, &together.embree, &rays.ray);
+    if (any) occludeAll(together, reinterpret_cast<RTCRayN*>(&rays.ray), kTogether, valid.data());
     else rtcIntersect16(valid.data(), top, &together.embree, &rays);
     checkTrees();
     for (Cast& cast : casts)
@@ -410,14 +439,16 @@ void RayCaster::State::makeParts() {
     const Box box = boxOf(cornersOf(*scene, t));
     primitives.push_back({box.lo.x, box.lo.y, box.lo.z, 0, box.hi.x, box.hi.y, box.hi.z, t});
   }
-  const bool whole = static_cast<double>(primitives.size()) * kTreeBytes <= static_cast<double>(tree_bytes);
-  const auto of_parts = partsOf(primitives, whole ? primitives.size() : std::clamp(static_cast<size_t>(static_cast<double>(tree_bytes) / (kTrees * kTreeBytes)), kLeastPart, kMostPart));
+  const auto triangles = static_cast<double>(primitives.size()), room = static_cast<double>(tree_bytes);
+  const bool aside = isPaging() && triangles * (kTreeBytes + kBlockBytes) > room;
+  const uint64_t cache_bytes = aside ? tree_bytes / kBlocksOf : 0;
+  blocks = aside ? std::make_unique<BlockStore>(cache_bytes) : std::make_unique<BlockStore>();
+  tree_bytes -= cache_bytes;
+  const bool in_parts = aside || triangles * kTreeBytes > room;
+  const auto of_part = std::clamp(static_cast<size_t>(static_cast<double>(tree_bytes) / (kTrees * kTreeBytes)), kLeastPart, kMostPart);
+  const auto of_parts = partsOf(primitives, in_parts ? of_part : primitives.size());
   part_count = of_parts.size();
   parts = std::make_unique<Part[]>(part_count);
-  if (part_count > 1) {
-    blocks.reserve(primitives.size() / 3 + 1);
-    block_corners.reserve(blocks.capacity() * kWide);
-  }
   tbb::parallel_for(size_t{0}, part_count, [&](size_t p) {
     parts[p].state = this;
     for (const RTCBuildPrimitive& own : of_parts[p]) {
@@ -426,6 +457,7 @@ void RayCaster::State::makeParts() {
     }
     if (!of_parts[p].empty()) makeBlocks(parts[p], of_parts[p]);
   });
+  blocks->finish();
 }
 
 // Embree's builder says which triangles go together best.
@@ -433,11 +465,9 @@ void RayCaster::State::makeBlocks(Part& part, std::span<RTCBuildPrimitive> primi
   struct Leaves {
     const Scene& scene;
     std::mutex mutex;
-    PagedVector<TriangleBlock> blocks;
-    PagedVector<Corners> corners;
-  } leaves{*scene, {}, {}, {}};
+    std::vector<Block> blocks;
+  } leaves{*scene, {}, {}};
   leaves.blocks.reserve(primitives.size() / 3 + 1);
-  leaves.corners.reserve(leaves.blocks.capacity() * kWide);
   RTCBVH bvh = rtcNewBVH(device);
   RTCBuildArguments args = rtcDefaultBuildArguments();
   args.byteSize = sizeof args;
@@ -455,30 +485,21 @@ void RayCaster::State::makeBlocks(Part& part, std::span<RTCBuildPrimitive> primi
   args.setNodeBounds = [](void*, const RTCBounds**, unsigned, void*) {};
   args.createLeaf = [](RTCThreadLocalAllocator, const RTCBuildPrimitive* primitive, size_t count, void* user) {
     auto& to = *static_cast<Leaves*>(user);
-    TriangleBlock block;
-    std::array<Corners, kWide> corners{};
+    Block block{};
     for (size_t i = 0; i < count; ++i) {
-      corners[i] = cornersOf(to.scene, primitive[i].primID);
-      block.set(i, primitive[i].primID, corners[i]);
+      block.corners[i] = cornersOf(to.scene, primitive[i].primID);
+      block.planes.set(i, primitive[i].primID, block.corners[i]);
     }
-    for (size_t i = count; i < kWide; ++i) block.clear(i);
+    for (size_t i = count; i < kWide; ++i) block.planes.clear(i);
     const std::lock_guard lock(to.mutex);
     to.blocks.push_back(block);
-    to.corners.insert(to.corners.end(), corners.begin(), corners.end());
     return user;
   };
   tbb::this_task_arena::isolate([&] { rtcBuildBVH(&args); });
   rtcReleaseBVH(bvh);
   const std::lock_guard lock(mutex);
-  part.first_block = static_cast<uint32_t>(blocks.size());
-  part.blocks = static_cast<uint32_t>(leaves.blocks.size());
-  if (part_count == 1) {
-    blocks.swap(leaves.blocks);
-    block_corners.swap(leaves.corners);
-  } else {
-    blocks.insert(blocks.end(), leaves.blocks.begin(), leaves.blocks.end());
-    block_corners.insert(block_corners.end(), leaves.corners.begin(), leaves.corners.end());
-  }
+  part.first_block = blocks->add(std::move(leaves.blocks));
+  part.blocks = blocks->size() - part.first_block;
 }
 
 RTCScene RayCaster::State::makeTree(const Part& part) const {
@@ -492,10 +513,11 @@ RTCScene RayCaster::State::makeTree(const Part& part) const {
       [](const RTCBoundsFunctionArguments* args) {
         const auto& own = *static_cast<const Part*>(args->geometryUserPtr);
         const State& state = *own.state;
-        const size_t number = own.first_block + args->primID;
+        const BlockStore::Reader reader(*state.blocks);
+        const Block& block = reader[own.first_block + args->primID];
         Box box;
         for (size_t i = 0; i < kWide; ++i)
-          if (state.blocks[number].triangle[i] != kNone) box.add(boxOf(state.block_corners[kWide * number + i]));
+          if (block.planes.triangle[i] != kNone) box.add(boxOf(block.corners[i]));
         const Vec3 lo = box.lo - state.largest * kMargin, hi = box.hi + state.largest * kMargin;
         *args->bounds_o = {lo.x, lo.y, lo.z, 0, hi.x, hi.y, hi.z, 0};
       },
@@ -546,14 +568,11 @@ void RayCaster::State::makeTop() {
     }
   });
   rtcSetGeometryOccludedFunction(geometry, [](const RTCOccludedFunctionNArguments* args) {
-    const Visit visit(static_cast<Part*>(args->geometryUserPtr)[args->primID]);
-    if (!visit.tree()) return;
-    switch (args->N) {
-      case 1: return rtcOccluded1(visit.tree(), args->context, reinterpret_cast<RTCRay*>(args->ray));
-      case 4: return rtcOccluded4(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay4*>(args->ray));
-      case 8: return rtcOccluded8(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay8*>(args->ray));
-      default: return rtcOccluded16(args->valid, visit.tree(), args->context, reinterpret_cast<RTCRay16*>(args->ray));
-    }
+    Part& part = static_cast<Part*>(args->geometryUserPtr)[args->primID];
+    const Visit visit(part, true);
+    if (visit.tree()) return occlude(visit.tree(), args->context, args->ray, args->N, args->valid);
+    auto& put_off = *Together::of(args->context).put_off;
+    if (std::find(put_off.begin(), put_off.end(), &part) == put_off.end()) put_off.push_back(&part);
   });
   rtcCommitGeometry(geometry);
   rtcAttachGeometry(top, geometry);
@@ -596,10 +615,10 @@ void RayCaster::State::letGo() const {
   }
 }
 
-Result<RayCaster> RayCaster::create(const Scene& scene, uint64_t tree_bytes, const char* embree) {
+Result<RayCaster> RayCaster::create(const Scene& scene, uint64_t memory_bytes, const char* embree) {
   auto state = std::make_shared<State>();
   state->scene = &scene;
-  state->tree_bytes = tree_bytes;
+  state->tree_bytes = memory_bytes;
   state->begin(embree);
   if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
   state->measure();
@@ -669,17 +688,18 @@ void RayCaster::near(Vec3 point, float distance_m, std::vector<uint32_t>& triang
     float distance_m;
     std::vector<uint32_t>& triangles;
     const State::Part* part;
-  } answer{*state_, point, distance_m, triangles, &state_->parts[0]};
+    const BlockStore::Reader blocks;
+  } answer{*state_, point, distance_m, triangles, &state_->parts[0], BlockStore::Reader(*state_->blocks)};
   triangles.clear();
   RTCPointQuery query{point.x, point.y, point.z, 0, distance_m * kUp};
   RTCPointQueryContext context;
   rtcInitPointQueryContext(&context);
   static constexpr auto inPart = [](RTCPointQueryFunctionArguments* args) {
     auto& to = *static_cast<Answer*>(args->userPtr);
-    const size_t number = to.part->first_block + args->primID;
+    const Block& block = to.blocks[to.part->first_block + args->primID];
     for (size_t i = 0; i < kWide; ++i) {
-      const uint32_t t = to.state.blocks[number].triangle[i];
-      if (t != kNone && boxOf(to.state.block_corners[kWide * number + i]).distance(to.point) <= to.distance_m) to.triangles.push_back(t);
+      const uint32_t t = block.planes.triangle[i];
+      if (t != kNone && boxOf(block.corners[i]).distance(to.point) <= to.distance_m) to.triangles.push_back(t);
     }
     return false;  // the distance stays
   };

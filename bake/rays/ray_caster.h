@@ -27,10 +27,11 @@ struct SightLine {
 class RayCaster {
  public:
   static constexpr uint64_t kNoLimit = ~uint64_t{0};
-  // Builds the acceleration structure; the scene must outlive the caster. tree_bytes: most memory for trees, about; where the whole scene's takes more, parts of
-  // it have trees that are built when a ray comes there, and let go when others need the room. It changes no hit. embree: configuration of its device, for tests
-  // ("isa=sse2"). Errors: kIo (device, out of memory). Where a tree cannot be built later, casting throws std::runtime_error.
-  static Result<RayCaster> create(const Scene& scene, uint64_t tree_bytes = kNoLimit, const char* embree = nullptr);
+  // Builds the acceleration structure; the scene must outlive the caster. memory_bytes: most for trees, and for blocks of triangles where a Paging lives, about.
+  // Where the whole scene's take more, parts of it have trees that are built when a ray comes there, and let go when others need the room; and blocks are
+  // in a file (BlockStore). It changes no hit. embree: configuration of its device, for tests ("isa=sse2"). Errors: kIo (device, out of memory). Throws SpillFailed.
+  // Where a tree cannot be built or a block not read later, casting throws std::runtime_error.
+  static Result<RayCaster> create(const Scene& scene, uint64_t memory_bytes = kNoLimit, const char* embree = nullptr);
   // Casts at the same triangles, and leaves a trail (null: none) of nearest(), occluded() and occlude(), which are no longer thread-safe then.
   RayCaster leaving(RayTrail* trail) const;
   // Casts at the same triangles, none of which has holes or lets light pass: chance, which decides that ray by ray, has no part in what is hit.

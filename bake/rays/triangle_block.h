@@ -13,7 +13,7 @@ namespace ff::bake {
 inline constexpr float kInfinity = std::numeric_limits<float>::infinity();
 inline constexpr float kLevel = 0x1p-18f;  // cosine to a triangle's normal, below which a ray counts as in its plane
 
-struct alignas(64) TriangleBlock {
+struct alignas(16) TriangleBlock {
   static constexpr size_t kTriangles = 4;
   struct Plane {  // x * point.x + y * point.y + z * point.z + at
     float x[kTriangles], y[kTriangles], z[kTriangles], at[kTriangles];

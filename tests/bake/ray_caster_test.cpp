@@ -4,12 +4,15 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
 #include <random>
 #include <thread>
 
+#include "bake/paging.h"
 #include "bake/rays/surface_sampling.h"
 #include "tests/support/analytic_scenes.h"
+#include "tests/support/random_world.h"
 
 namespace ff::bake::test {
 namespace {
@@ -259,6 +262,42 @@ TEST(RayCaster, PartsWhoseTreesAreLetGoAreMetTheSameFromManyThreads) {
         ASSERT_EQ(hits[i].point, expected[i].point) << i;
       }
   }
+}
+
+// Blocks in a file, of which a cache holds some 16,000, and slots that are taken from under other threads' eyes.
+TEST(RayCaster, BlocksThatMemoryHasNoRoomForAreMetTheSameFromManyThreads) {
+  const Scene scene = soup(13, {0, 0, 0}, 10, 200000);
+  const auto whole = RayCaster::create(scene);
+  ASSERT_TRUE(whole);
+  const formats::TemporaryFolder folder;
+  const uint64_t aside = pagedBytes().now;
+  const Paging paging(folder.path(), uint64_t{64} << 30);
+  const auto cached = RayCaster::create(scene, uint64_t{8} << 20);
+  ASSERT_TRUE(cached);
+  EXPECT_GT(pagedBytes().now - aside, scene.triangles.size() * 100);  // four triangles take 384 B
+  EXPECT_TRUE(std::filesystem::is_empty(folder.path()));
+  std::vector<std::vector<Hit>> expected(4), found(4);
+  std::vector<std::thread> threads;
+  for (size_t t = 0; t < found.size(); ++t)
+    threads.emplace_back([&, t] {
+      Random random(14 + t);
+      std::vector<Ray> rays;
+      for (int i = 0; i < 3000; ++i) rays.push_back({random.any(12), normalized(random.any(1))});
+      expected[t].resize(rays.size());
+      found[t].resize(rays.size());
+      whole->nearest(rays, expected[t]);
+      cached->nearest(rays, found[t]);
+    });
+  for (std::thread& t : threads) t.join();
+  for (size_t t = 0; t < found.size(); ++t)
+    for (size_t i = 0; i < found[t].size(); ++i) {
+      ASSERT_EQ(found[t][i].triangle, expected[t][i].triangle) << i;
+      ASSERT_EQ(found[t][i].point, expected[t][i].point) << i;
+    }
+  std::vector<uint32_t> near_whole, near_cached;
+  whole->near({1, 2, 3}, 2, near_whole);
+  cached->near({1, 2, 3}, 2, near_cached);
+  EXPECT_EQ(near_cached, near_whole);
 }
 
 TEST(RayCaster, NearIsWhatBoxesAre) {
