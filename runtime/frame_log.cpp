@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <span>
 
 #include "runtime/clock.h"
 
@@ -9,14 +10,17 @@ namespace ff::runtime {
 
 FrameLog::FrameLog(uint32_t frames) : start_(Clock::now()), kept_(frames) {
   frames_.reserve(kept_);
+  observers_.resize(kept_ * stream::kMaxObservers);
   scratch_.reserve(kept_);
 }
 
-void FrameLog::add(Clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles) {
+void FrameLog::add(Clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+                   const std::array<double, 3>& origin) {
   if (kept_ == 0) return;
   const Frame now{std::chrono::duration<double, std::micro>(began - start_).count(), static_cast<float>(frame.stream_ms), static_cast<float>(frame.matrix_ms),
                   static_cast<float>(frame.solve_ms), tiles.wanted_tiles, tiles.late_tiles, tiles.pending_tiles, tiles.ahead_tiles, frame.matrix_changed,
-                  tiles.resident_bytes, tiles.bytes_read, tiles.failed};
+                  tiles.resident_bytes, tiles.bytes_read, tiles.failed, origin, observers.size()};
+  std::ranges::copy(observers, observers_.begin() + static_cast<ptrdiff_t>(next_ * stream::kMaxObservers));
   if (frames_.size() < kept_)
     frames_.push_back(now);
   else
@@ -36,17 +40,26 @@ FrameLog::Times FrameLog::times() {
 std::string FrameLog::trace() const {
   using Json = nlohmann::ordered_json;
   Json events = Json::array();
-  const auto bar = [&](const char* name, double at_us, float ms) {
-    events.push_back({{"name", name}, {"ph", "X"}, {"ts", at_us}, {"dur", 1000 * static_cast<double>(ms)}, {"pid", 1}, {"tid", 1}});
+  double at_us = 0;
+  const auto bar = [&](const char* name, float ms) -> Json& {
+    Json& event = events.emplace_back(Json{{"name", name}, {"ph", "X"}, {"ts", at_us}, {"dur", 1000 * static_cast<double>(ms)}, {"pid", 1}, {"tid", 1}});
+    at_us += 1000 * static_cast<double>(ms);
+    return event;
   };
-  const auto counter = [&](const char* name, double at_us, Json values) { events.push_back({{"name", name}, {"ph", "C"}, {"ts", at_us}, {"pid", 1}, {"args", std::move(values)}}); };
+  const auto counter = [&](const char* name, double began_us, Json values) { events.push_back({{"name", name}, {"ph", "C"}, {"ts", began_us}, {"pid", 1}, {"args", std::move(values)}}); };
   for (size_t k = 0; k < frames_.size(); ++k) {
-    const Frame& frame = frames_[frames_.size() < kept_ ? k : (next_ + k) % kept_];
-    double at = frame.began_us;
-    for (const auto& [name, ms] : {std::pair{"stream", frame.stream_ms}, {frame.cut_changed ? "new cut, matrix and light" : "matrix and light", frame.matrix_ms}, {"solver", frame.solve_ms}}) {
-      bar(name, at, ms);
-      at += 1000 * static_cast<double>(ms);
+    const size_t number = frames_.size() < kept_ ? k : (next_ + k) % kept_;
+    const Frame& frame = frames_[number];
+    Json observers = Json::array();
+    for (const stream::Observer& o : std::span(observers_).subspan(number * stream::kMaxObservers, frame.observers)) {
+      Json& list = observers.emplace_back(Json::array());
+      for (int a = 0; a < 3; ++a) list.push_back(frame.origin[static_cast<size_t>(a)] + static_cast<double>(o.at[a]));
+      for (int a = 0; a < 3; ++a) list.push_back(o.velocity[a]);
     }
+    at_us = frame.began_us;
+    bar("stream", frame.stream_ms)["args"] = {{"observers", std::move(observers)}};
+    bar(frame.cut_changed ? "new cut, matrix and light" : "matrix and light", frame.matrix_ms);
+    bar("solver", frame.solve_ms);
     counter("tiles", frame.began_us, {{"wanted", frame.wanted}, {"late", frame.late}, {"ahead", frame.ahead}, {"pending", frame.pending}});
     counter("MB resident", frame.began_us, {{"strips", static_cast<double>(frame.resident_bytes) * 1e-6}});
     counter("MB read", frame.began_us, {{"strips", static_cast<double>(frame.bytes_read) * 1e-6}});

@@ -1,11 +1,13 @@
-// The last frames of a world: what they took, and how its tiles stood.
+// The last frames of a world: what they took, how its tiles stood, and where its observers were.
 #pragma once
+#include <array>
 #include <chrono>
 #include <cstdint>
 #include <string>
 #include <vector>
 
 #include "runtime/updater.h"
+#include "stream/observers.h"
 #include "stream/streamer.h"
 
 namespace ff::runtime {
@@ -15,15 +17,17 @@ class FrameLog {
  public:
   // frames: kept; 0: none.
   explicit FrameLog(uint32_t frames);
-  // A frame that began then has just ended.
-  void add(std::chrono::steady_clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles);
+  // A frame that began then has just ended. origin: of the observers' positions, m.
+  void add(std::chrono::steady_clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+           const std::array<double, 3>& origin);
 
   // Of the frames kept, what the frame's thread took but for the solver's steps, ms: half of them at most, 99 of a hundred, the worst. 0: no frame yet.
   struct Times {
     double p50_ms = 0, p99_ms = 0, max_ms = 0;
   };
   Times times();
-  // The frames kept, in the format of Chrome's and Perfetto's trace viewers: a bar each for streaming, matrix and light, and the solver, and counters.
+  // The frames kept, in the format of Chrome's and Perfetto's trace viewers: a bar each for streaming (with "observers": x, y, z in the scene's world space, m,
+  // and velocity, m/s, of each), matrix and light, and the solver, and counters. ffinspect trace flies that path again.
   std::string trace() const;
 
  private:
@@ -32,9 +36,12 @@ class FrameLog {
     float stream_ms, matrix_ms, solve_ms;
     uint32_t wanted, late, pending, ahead, cut_changed;
     uint64_t resident_bytes, bytes_read, strips_failed;
+    std::array<double, 3> origin;
+    size_t observers;
   };
   const std::chrono::steady_clock::time_point start_;
   std::vector<Frame> frames_;  // a ring
+  std::vector<stream::Observer> observers_;  // kMaxObservers a frame
   size_t kept_, next_ = 0;
   std::vector<float> scratch_;
 };

@@ -33,6 +33,7 @@ struct Arguments {
   int threads = 0;
   bool quiet = false;
   ExportRequest request;
+  TraceRequest trace;
   InspectOutput out;
 };
 
@@ -109,6 +110,14 @@ int run(int argc, char** argv) {
   exported->add_option("--level", a.request.level, "0 = patches")->capture_default_str();
   exported->add_option("--format", a.request.format)->required()->check(CLI::IsMember({"mtx", "npy", "ply"}));
   exported->add_option("-o,--output", a.request.path, "file to write")->required();
+  auto* trace = addCommand("trace", "flies a recorded path again: what frames take, what is late, and where", [&] { return inspectTrace(a.world, a.trace, a.out); });
+  trace->add_option("path", a.trace.path, "what formfieldWriteTrace has written")->required();
+  trace->add_option("-o,--output", a.trace.trace_path, "a trace of this run, for chrome://tracing and ui.perfetto.dev");
+  trace->add_option("--threads", a.trace.threads, "of the solver; 0: all cores")->check(CLI::Range(0, 256));
+  trace->add_option("--radius", a.trace.radius_m, "within it light is computed patch by patch, m")->check(CLI::PositiveNumber);
+  trace->add_option("--memory", a.trace.memory_bytes, "of strips")->transform(CLI::AsSizeValue(true));
+  trace->add_option("--bytes", a.trace.bytes_per_second, "read a second at most")->transform(CLI::AsSizeValue(true));
+  trace->add_option("--tiles", a.trace.max_applied_tiles, "that enter a frame's light at most");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

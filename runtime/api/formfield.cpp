@@ -292,7 +292,7 @@ Result<void> FormfieldWorld_T::step(stream::Observers now) {
   const auto stats = updater().frame(now, iterations);
   if (leaving && updater().isTakenUp()) reloader->retire(std::move(leaving));
   if (!stats) return stats.error();
-  log.add(began, *stats, streamStats());
+  log.add(began, *stats, streamStats(), now, shown->world->info().origin);
   followCut(*stats);
   return {};
 }

@@ -96,7 +96,7 @@ typedef struct FormfieldWorldSettings {
   uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
   uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns; 0: at once. What is needed is loaded so much
                                   earlier. A change of light is never held back. Of the CPU's gather: other solvers follow at once */
-  uint32_t logged_frames;      /* the last so many frames are kept, 64 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
+  uint32_t logged_frames;      /* the last so many frames are kept, 500 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
   uint64_t hint_bytes;         /* of memory_bytes, at most, for what formfieldExpect names */
   uint64_t read_bytes_per_second; /* of strips, at most; 0: no limit. The nearest come first; the index (1 % of that) and the coarsest level come on top */
   uint32_t max_applied_tiles;  /* that enter a frame's matrix and light, at most, the nearest first; 0: no limit. The first frame, formfieldSettle, a re-bake and,
@@ -298,8 +298,8 @@ typedef struct FormfieldStats {
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
-/* The frames that are kept (FormfieldWorldSettings::logged_frames) as a file for chrome://tracing or ui.perfetto.dev: what each frame's thread did and how
- * its tiles stood. Allocates and waits for the file. */
+/* The frames that are kept (FormfieldWorldSettings::logged_frames) as a file for chrome://tracing or ui.perfetto.dev: what each frame's thread did, how its
+ * tiles stood and where the observers were. `ffinspect trace WORLD FILE` flies the same path again. Allocates and waits for the file. */
 FormfieldResult formfieldWriteTrace(FormfieldWorld world, const char* path);
 /* "cpu", "vulkan: NAME": what computes the light now. Valid until the next frame. */
 const char* formfieldSolverName(FormfieldWorld world);

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <random>
 
+#include "tools/inspect/recorded_path.h"
+
 namespace ff::bench {
 namespace {
 
@@ -50,6 +52,21 @@ std::vector<FlightPath> flightPaths(const Box& bounds, float y, double seconds) 
                      return FlightPath::Moment{{lo.x + span.x * x + kWalk * since, y, lo.z + span.z * z}, {kWalk, 0, 0}, t >= 1 && std::fmod(t, 1.0) < 1.0 / 60};
                    }});
   return paths;
+}
+
+Result<FlightPath> recordedPath(const std::string& file, const std::array<double, 3>& origin) {
+  auto frames = tools::readRecordedPath(file);
+  if (!frames) return frames.error();
+  const double seconds = frames->back().seconds;
+  return FlightPath{"recorded", 1, seconds, false, [frames = std::move(*frames), origin](int, double t) {
+                      const auto next = std::upper_bound(frames.begin(), frames.end(), t, [](double at, const tools::RecordedFrame& f) { return at < f.seconds; });
+                      const tools::RecordedFrame& frame = next == frames.begin() ? *next : *std::prev(next);
+                      const FormfieldObserver& o = frame.observers[0];
+                      FlightPath::Moment moment;
+                      for (int a = 0; a < 3; ++a) moment.at[a] = static_cast<float>(o.position[a] - origin[static_cast<size_t>(a)]);
+                      moment.velocity = {o.velocity[0], o.velocity[1], o.velocity[2]};
+                      return moment;
+                    }};
 }
 
 }  // namespace ff::bench

@@ -33,7 +33,7 @@ constexpr float kJump = 0.02f;
 constexpr int kFramesBefore = 24;
 
 struct Options {
-  std::string world, reader, path;
+  std::string world, reader, path, replay;
   uint64_t patches = 60000;
   uint32_t rays = 512;
   double seconds = 15;
@@ -381,6 +381,7 @@ int main(int argc, char** argv) {
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
   app.add_option("--path", options.path, "paths whose names begin so, or reload; all without it");
+  app.add_option("--replay", options.replay, "a path that formfieldWriteTrace has recorded, instead of those; give --world");
   app.add_option("--height", options.height_m, "of the eyes, m, in the world's coordinates")->capture_default_str();
   app.add_option("--reader", options.reader, "io_uring or threads; what streams choose without it")->check(CLI::IsMember({"io_uring", "threads"}));
   app.add_option("--delay", options.delay_ms, "ms that every read takes longer")->check(CLI::Range(0.0f, 10000.0f));
@@ -404,8 +405,9 @@ int main(int argc, char** argv) {
   const auto source = orExit(runtime::fullSource(world, {}, sky, runtime::Lamps(world.info())));
   SurfaceLight surface(world, orExit(runtime::solveFullWorld(world, source, {.tolerance = 1e-6})).radiosity);
   const std::string name = std::to_string(world.levels()[0].nodes) + " patches" + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
-  for (const FlightPath& path : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
-    if (!path.name.starts_with(options.path)) continue;
+  const bool recorded = !options.replay.empty();
+  for (const FlightPath& path : recorded ? std::vector{orExit(recordedPath(options.replay, world.info().origin))} : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
+    if (!recorded && !path.name.starts_with(options.path)) continue;
     for (const bool hinted : {false, true}) {
       if (hinted && (!path.teleports || options.hint_seconds == 0)) continue;
       const double hint_seconds = hinted ? options.hint_seconds : 0;
@@ -414,8 +416,8 @@ int main(int argc, char** argv) {
       report(name + (hinted ? ", told " + number(hint_seconds) + " s before" : ""), path, flown);
     }
   }
-  if (std::string("reload").starts_with(options.path)) printReload(world, name, options);
-  if (options.path.empty()) printDecoding(world, name);
+  if (!recorded && std::string("reload").starts_with(options.path)) printReload(world, name, options);
+  if (!recorded && options.path.empty()) printDecoding(world, name);
   std::filesystem::remove_all(folder);
   return 0;
 }

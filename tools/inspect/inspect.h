@@ -9,7 +9,6 @@
 
 #include "formats/read/whole_world.h"
 
-
 namespace ff::tools {
 
 struct InspectOutput {
@@ -44,6 +43,17 @@ struct ExportRequest {
   std::string path;
 };
 Result<void> inspectExport(const formats::WholeWorld& world, const ExportRequest& request, const InspectOutput& out);
+
+// Flies a recorded path (recorded_path.h) again, at its own pace, and prints what frames took, what was late and where. Errors: kUsage, kIo, kInvalidFile.
+struct TraceRequest {
+  std::string path{};
+  std::string trace_path{};  // of this run, as formfieldWriteTrace writes it; empty: none
+  int threads = 0;         // of the solver; 0: all cores
+  float radius_m = 0;      // these as FormfieldWorldSettings has them; 0: its defaults
+  uint64_t memory_bytes = 0, bytes_per_second = 0;
+  uint32_t max_applied_tiles = 0;
+};
+Result<void> inspectTrace(const std::string& world, const TraceRequest& request, const InspectOutput& out);
 
 // Prints the report of verifyWorld (world_check.h). The code returned is that of the worst finding.
 Result<void> inspectVerify(const formats::WholeWorld& world, int threads, bool quiet, const InspectOutput& out);
