@@ -69,7 +69,7 @@ constexpr double kRowOff = 0.2, kRowOffRays = 4, kRowOffShare = 0.005;
 constexpr double kBacksShare = 0.01;
 
 // Memory for what rays are cast at: a share of what there is when it is made.
-constexpr double kCasterShare = 0.45;
+constexpr double kCasterShare = 0.5;
 
 // What sampling a tile's rows showed.
 struct Sampling {

@@ -100,6 +100,19 @@ struct Strip {
   std::vector<LampLight> lamps;   // by (row, group), ascending
 };
 
+// A strip's entries in the form in which solvers read them: words of 16 bits, `column << 8 | count`, a count above kMaxWordCount as several with one
+// column; run after run. A run is the entries of one row in one block.
+inline constexpr uint32_t kMaxWordCount = 255;
+struct EntryWords {
+  struct Run {
+    uint32_t words;
+    uint8_t row;
+  };
+  std::vector<uint16_t> words;       // may be more than the runs', for the next strip
+  std::vector<Run> runs;             // block after block
+  std::vector<uint32_t> block_runs;  // by block
+};
+
 // Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres. The last triangles are no part of
 // a patch but of the sealed surface that it goes on in, which no light gets to: drawn with the patch's light, they close gaps.
 struct TileGeometry {

@@ -6,24 +6,11 @@
 namespace ff::stream {
 namespace {
 
-constexpr uint32_t kMaxCount = 255;  // of one word
 constexpr uint32_t kMost16 = 0xffff;
-
-uint32_t wordsOf(uint32_t count) { return (count + kMaxCount - 1) / kMaxCount; }
-
-// Calls run(row, first entry, end) for the entries of a block that share a row.
-template <class Run>
-void forEachRun(const formats::Strip& strip, size_t first, size_t end, Run&& run) {
-  for (size_t k = first; k < end;) {
-    const size_t from = k;
-    while (k < end && strip.rows[k] == strip.rows[from]) ++k;
-    run(strip.rows[from], from, k);
-  }
-}
 
 }  // namespace
 
-Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks) {
+Result<ResidentStrip> pack(formats::Strip&& strip, const formats::EntryWords& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks) {
   ResidentStrip packed;
   packed.tile = tile;
   packed.id = strip.id;
@@ -34,20 +21,16 @@ Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile,
   packed.partners.reserve(strip.blocks.size());
   packed.run_start.assign(rows + 1, 0);
   packed.row_start.assign(rows + 1, 0);
-  uint32_t longest = 0;
-  size_t at = 0;
   for (const formats::Block& block : strip.blocks) {
     const formats::ChunkPtr& chunk = chunks[packed.partners.size()];
     if (packed.chunks.empty() || packed.chunks.back() != chunk) packed.chunks.push_back(chunk);
     packed.partners.push_back({block.partner_tile, static_cast<uint32_t>(packed.chunks.size() - 1)});
-    forEachRun(strip, at, at + block.entries, [&](uint8_t row, size_t from, size_t end) {
-      uint32_t n = 0;
-      for (size_t k = from; k < end; ++k) n += wordsOf(strip.counts[k]);
-      packed.row_start[row + 1u] += n;
-      packed.run_start[row + 1u] += 1;
-      longest = std::max(longest, n);
-    });
-    at += block.entries;
+  }
+  uint32_t longest = 0;
+  for (const auto& run : words.runs) {
+    packed.row_start[run.row + 1u] += run.words;
+    packed.run_start[run.row + 1u] += 1;
+    longest = std::max(longest, run.words);
   }
   if (packed.partners.size() > kMost16 || longest > kMost16)
     return Error{
@@ -62,23 +45,17 @@ Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile,
   packed.row_partners.assign(rows, 0);
 
   std::vector<uint32_t> next_run(packed.run_start), next_word(packed.row_start);
-  at = 0;
-  for (size_t b = 0; b < strip.blocks.size(); ++b) {
-    forEachRun(strip, at, at + strip.blocks[b].entries, [&](uint8_t row, size_t from, size_t end) {
-      const uint32_t first = next_word[row];
-      uint32_t word = first;
-      for (size_t k = from; k < end; ++k)
-        for (uint32_t left = strip.counts[k]; left > 0;) {
-          const uint32_t count = std::min(left, kMaxCount);
-          packed.words[word++] = static_cast<uint16_t>(uint32_t{strip.columns[k]} << 8 | count);
-          left -= count;
-        }
-      packed.row_partners[row] |= uint64_t{1} << b % 64;
-      packed.runs[next_run[row]++] = {static_cast<uint16_t>(b), static_cast<uint16_t>(word - first)};
-      next_word[row] = word;
-    });
-    at += strip.blocks[b].entries;
-  }
+  const auto* run = words.runs.data();
+  const uint16_t* from = words.words.data();
+  for (size_t b = 0; b < strip.blocks.size(); ++b)
+    for (uint32_t left = words.block_runs[b]; left > 0; --left, ++run) {
+      uint16_t* to = packed.words.data() + next_word[run->row];
+      for (uint32_t k = 0; k < run->words; ++k) to[k] = from[k];
+      from += run->words;
+      packed.row_partners[run->row] |= uint64_t{1} << b % 64;
+      packed.runs[next_run[run->row]++] = {static_cast<uint16_t>(b), static_cast<uint16_t>(run->words)};
+      next_word[run->row] += run->words;
+    }
   return packed;
 }
 

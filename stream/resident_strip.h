@@ -39,8 +39,8 @@ struct ResidentStrip {
 
 using StripPtr = std::shared_ptr<const ResidentStrip>;
 
-// Takes the strip apart. chunks: of each block's partner. Errors (kInvalidFile): more partner tiles or words in a run than 16 bits can count.
-Result<ResidentStrip> pack(formats::Strip&& strip, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
+// Takes the strip apart, but for its entries, which are `words`. chunks: of each block's partner. Errors (kInvalidFile): more partner tiles or words in a run than 16 bits can count.
+Result<ResidentStrip> pack(formats::Strip&& strip, const formats::EntryWords& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
 
 // Bytes that a strip takes in memory.
 uint64_t residentBytes(const ResidentStrip& strip);

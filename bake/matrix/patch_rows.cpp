@@ -13,11 +13,19 @@ namespace ff::bake {
 
 void PutAside::put(uint32_t first, const HitRows& rows) {
   for (size_t p = 0; p < rows.patches(); ++p) sight[first + p] = sightOf(rows, p);
-  const auto count = [&](size_t patch, uint64_t hits) {
-    std::atomic_ref(hits_at_[patch]).fetch_add(static_cast<uint32_t>(hits), std::memory_order_relaxed);
+  const auto count = [&](size_t patch, uint64_t bytes) {
+    std::atomic_ref(pooling_bytes_[patch]).fetch_add(static_cast<uint32_t>(bytes), std::memory_order_relaxed);
   };
-  for (size_t p = 0; p < rows.patches(); ++p) count(first + p, rows.start[p + 1] - rows.start[p]);
-  for (const uint32_t j : rows.column) count(j, 1);
+  for (size_t p = 0; p < rows.patches(); ++p)
+    count(first + p, HitPool::kBytesANode + rows.lamps[p].size() * sizeof(LampIrradiance) + HitPool::kBytesARun + (rows.start[p + 1] - rows.start[p]) * HitPool::kBytesAHit);
+  std::vector<uint32_t> hit = rows.column;
+  std::sort(hit.begin(), hit.end());
+  for (size_t k = 0; k < hit.size();) {  // those of one range at a patch are a run there
+    size_t end = k + 1;
+    while (end < hit.size() && hit[end] == hit[k]) ++end;
+    count(hit[k], HitPool::kBytesARun + (end - k) * HitPool::kBytesAHit);
+    k = end;
+  }
   Range range{first, spill_.put(encoded(rows)), rows.leaks};
   const std::lock_guard lock(mutex_);
   ranges_.push_back(std::move(range));
@@ -40,14 +48,14 @@ std::pair<uint32_t, HitRows> PutAside::take(size_t range) {
 
 namespace {
 
-// First nodes of buckets of whole tiles, with as many hits as memory has room for.
+// First nodes of buckets of whole tiles, with as many as memory has room for.
 std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> patch_of, const PutAside& hits, uint64_t bytes) {
   const std::vector<uint32_t>& tiles = h.tile_start[0];
   std::vector<uint32_t> start{0};
   uint64_t in_bucket = 0;
   for (size_t t = 0; t + 1 < tiles.size(); ++t) {
     uint64_t in_tile = 0;
-    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) in_tile += hits.hitsAt(patch_of[i]) * HitPool::kBytesAHit;
+    for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) in_tile += hits.poolingBytes(patch_of[i]);
     if (tiles[t] > start.back() && in_bucket + in_tile > bytes) {
       start.push_back(tiles[t]);
       in_bucket = 0;

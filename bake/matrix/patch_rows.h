@@ -19,7 +19,7 @@ namespace ff::bake {
 class PutAside {
  public:
   // path, memory_bytes: Spill's.
-  PutAside(size_t patches, const std::string& path, uint64_t memory_bytes) : sight(patches), hits_at_(patches), spill_(path, memory_bytes) {}
+  PutAside(size_t patches, const std::string& path, uint64_t memory_bytes) : sight(patches), pooling_bytes_(patches), spill_(path, memory_bytes) {}
 
   // Thread-safe for different patches.
   void put(uint32_t first, const HitRows& rows);
@@ -27,8 +27,8 @@ class PutAside {
   size_t ranges() const { return ranges_.size(); }
   // What put() was given; once for each. Thread-safe for different ones.
   std::pair<uint32_t, HitRows> take(size_t range);
-  // Hits from either end, of a patch.
-  uint32_t hitsAt(size_t patch) const { return hits_at_[patch]; }
+  // What a patch's row takes while it is pooled, B, about; once all are put.
+  uint32_t poolingBytes(size_t patch) const { return pooling_bytes_[patch]; }
   uint64_t spilled() const { return spill_.written(); }
   // Of all ranges, the heaviest first; once all are put.
   std::vector<Leak> leaks(float cell_m, size_t most) const;
@@ -42,7 +42,7 @@ class PutAside {
     std::vector<Leak> leaks;
   };
   std::mutex mutex_;
-  PagedVector<uint32_t> hits_at_;
+  PagedVector<uint32_t> pooling_bytes_;  // by patch
   Spill spill_;
   std::vector<Range> ranges_;
 };

@@ -60,7 +60,8 @@ class PooledRows {
 
 class HitPool {
  public:
-  static constexpr uint64_t kBytesAHit = 8;  // of the rows of a bucket; a hit counts at either end
+  // Of a bucket that is taken, about: a hit, which counts at either end; a run of those of one block at a node; a node, without its lamps.
+  static constexpr uint64_t kBytesAHit = 8, kBytesARun = 28, kBytesANode = 112;
 
   // number: the node of each patch. area_m2: of each patch, whole. density: rays by area of each node, 1/m2. bucket_start: first nodes of the buckets,
   // then the number of nodes. All outlive it and the rows that it hands out.
@@ -69,7 +70,7 @@ class HitPool {
   // Rows of patches [first, first + rows.patches()), each once, in any order. Thread-safe.
   void add(uint32_t first_patch, const HitRows& rows);
   size_t buckets() const { return bucket_start_.size() - 1; }
-  // Once all is added, and once for each bucket; on all of TBB's threads. Memory: kBytesAHit.
+  // Once all is added, and once for each bucket; on all of TBB's threads. Memory: the above.
   PooledRows take(size_t bucket);
 
  private:

@@ -37,9 +37,9 @@ constexpr float kMargin = 1.2e-6f, kReach = 1.25f;
 // Where axes are shorter than that of the longest, they count as so long: directions below 1e-18 are taken for 1e-18.
 constexpr float kShortAxis = 0x1p-10f;
 // What a tree takes of memory for each of its triangles, B, about (towns: 27, in parts 21); triangles of a part, of whose trees kTrees at least fit.
-constexpr double kTreeBytes = 30, kTrees = 8;
+constexpr double kTreeBytes = 30, kPartTreeBytes = 22, kTrees = 8;
 constexpr double kBlockBytes = sizeof(Block) / 3.7;  // likewise, of blocks
-constexpr uint64_t kBlocksOf = 5;                   // what is held of blocks, where not all are: of the memory for trees, one in so many
+constexpr uint64_t kBlocksOf = 5;                   // what is held of blocks, where not all are: one in so many of the memory for both, and what trees leave
 constexpr size_t kLeastPart = size_t{1} << 6, kMostPart = size_t{1} << 15;
 // Rounds distances up: three low bits of Embree's distances to boxes hold something else.
 constexpr float kUp = 1 + 0x1p-19f;
@@ -441,7 +441,7 @@ void RayCaster::State::makeParts() {
   }
   const auto triangles = static_cast<double>(primitives.size()), room = static_cast<double>(tree_bytes);
   const bool aside = isPaging() && triangles * (kTreeBytes + kBlockBytes) > room;
-  const uint64_t cache_bytes = aside ? tree_bytes / kBlocksOf : 0;
+  const uint64_t cache_bytes = aside ? std::max(tree_bytes / kBlocksOf, tree_bytes - std::min(tree_bytes, static_cast<uint64_t>(triangles * kPartTreeBytes))) : 0;
   blocks = aside ? std::make_unique<BlockStore>(cache_bytes) : std::make_unique<BlockStore>();
   tree_bytes -= cache_bytes;
   const bool in_parts = aside || triangles * kTreeBytes > room;

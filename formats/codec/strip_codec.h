@@ -86,10 +86,10 @@ struct PartnerName {
 };
 
 // Decodes one strip. `info` is the index's; `quanta` is the world's. Fills everything but Node::parent and Block::partner_tile;
-// partners: by block. `out`'s vectors are reused; after an error its content is unspecified. Memory taken is
+// partners: by block. words: takes the entries instead of out.rows, columns and counts, which are left empty then; or null. `out`'s vectors and those of words are reused; after an error its content is unspecified. Memory taken is
 // bounded by the sizes in `info`, which are checked against the header first. Thread-safe.
 // Errors carry no file name: the caller knows it.
 Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
-                              std::vector<PartnerName>& partners);
+                              std::vector<PartnerName>& partners, EntryWords* words = nullptr);
 
 }  // namespace ff::formats

@@ -204,22 +204,81 @@ uint32_t countRuns(const uint8_t* marks, size_t entries) {
   return runs;
 }
 
+// Where decoded entries go. Plain pointers, because a store through uint8_t* may alias any vector.
+class ToArrays {
+ public:
+  ToArrays(Strip& out, size_t entries) {
+    out.rows.resize(entries);
+    out.columns.resize(entries);
+    out.counts.resize(entries);
+    rows_ = out.rows.data();
+    columns_ = out.columns.data();
+    counts_ = out.counts.data();
+  }
+  void beginRun(uint32_t row) { row_ = static_cast<uint8_t>(row); }
+  void add(uint32_t column, uint32_t count) {
+    *rows_++ = row_;
+    *columns_++ = static_cast<uint8_t>(column);
+    *counts_++ = static_cast<uint16_t>(count);
+  }
+  void addLarge(uint32_t column, uint32_t count, size_t) { add(column, count); }
+  void endRun() {}
+  void endBlock() {}
+
+ private:
+  uint8_t row_ = 0, *rows_, *columns_;
+  uint16_t* counts_;
+};
+
+class ToWords {
+ public:
+  ToWords(EntryWords& out, size_t entries) : out_(out) {
+    out.runs.clear();
+    out.block_runs.clear();
+    if (out.words.size() < entries) out.words.resize(entries);
+    begin_ = at_ = out.words.data();
+  }
+  void beginRun(uint32_t row) {
+    row_ = static_cast<uint8_t>(row);
+    run_ = at_;
+  }
+  void add(uint32_t column, uint32_t count) { *at_++ = static_cast<uint16_t>(column << 8 | count); }
+  // left: entries from this one on.
+  void addLarge(uint32_t column, uint32_t count, size_t left) {
+    const auto used = static_cast<size_t>(at_ - begin_), run = static_cast<size_t>(run_ - begin_);
+    if (const size_t needed = used + left + count / kMaxWordCount; out_.words.size() < needed) {
+      out_.words.resize(needed + needed / 8);
+      begin_ = out_.words.data();
+      at_ = begin_ + used;
+      run_ = begin_ + run;
+    }
+    for (; count > kMaxWordCount; count -= kMaxWordCount) add(column, kMaxWordCount);
+    add(column, count);
+  }
+  void endRun() { out_.runs.push_back({static_cast<uint32_t>(at_ - run_), row_}); }
+  void endBlock() {
+    out_.block_runs.push_back(static_cast<uint32_t>(out_.runs.size() - runs_));
+    runs_ = out_.runs.size();
+  }
+
+ private:
+  EntryWords& out_;
+  uint16_t *begin_, *at_, *run_ = nullptr;
+  size_t runs_ = 0;  // of the blocks before
+  uint8_t row_ = 0;
+};
+
 // Rows, columns and counts, run by run. Within a run the row is one and the columns rise, so that most checks and the row's
-// sum are made once a run. Plain pointers, because a store through uint8_t* may alias any vector.
-Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout,
-                           std::vector<PartnerName>& partners, Strip& out) {
+// sum are made once a run.
+template <class To>
+Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> bytes, const StripLayout& layout, uint32_t max_quanta,
+                           std::vector<PartnerName>& partners, const Strip& out, To to) {
   const auto* raw = reinterpret_cast<const uint8_t*>(bytes.data());
   const uint8_t* const marks = raw + layout.marks();
   const uint8_t* first_columns = raw + layout.columns();
   const uint8_t* column_steps = first_columns + countRuns(marks, layout.entries);
   const uint8_t* escapes = raw + layout.escapes();
   const uint8_t* const escapes_end = raw + bytes.size();
-  out.rows.resize(layout.entries);
-  out.columns.resize(layout.entries);
-  out.counts.resize(layout.entries);
-  uint8_t* const rows = out.rows.data();
-  uint8_t* const columns = out.columns.data();
-  uint16_t* const counts = out.counts.data();
   std::array<uint64_t, kTileNodes> sums{};
   size_t e = 0;
   for (size_t b = 0; b < out.blocks.size(); ++b) {
@@ -238,10 +297,10 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
       first_column = (first_column + *first_columns++) & 0xff;
       uint32_t column = first_column, unordered = 0;
       uint64_t sum = 0;
+      to.beginRun(row - 1);
       for (;;) {
-        rows[e] = static_cast<uint8_t>(row - 1);
-        columns[e] = static_cast<uint8_t>(column);
-        counts[e] = static_cast<uint16_t>(count);
+        if (count > kMaxWordCount) to.addLarge(column, count, layout.entries - e);
+        else to.add(column, count);
         sum += count;
         if (++e == end || (mark = marks[e]) > kMarkCountMask) break;
         step = 0;
@@ -250,11 +309,13 @@ Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> byte
         unordered |= static_cast<uint32_t>(*column_steps == 0);
         column += *column_steps++;
       }
+      to.endRun();
       if (unordered != 0) return bad("entries are not in order of row and column");
       if (column >= kTileNodes) return bad("a column is outside any tile");
       max_column = std::max(max_column, column);
-      sums[row - 1] += sum;
+      if ((sums[row - 1] += sum) > max_quanta) return bad("a row has more samples than any in this world");  // which bounds the words
     }
+    to.endBlock();
     partners[b].columns = max_column + 1;
   }
   if (escapes != escapes_end) return broken(info, "escapes are left over");
@@ -284,7 +345,7 @@ Vec3 unpackNormal(OctNormal n) {
 }
 
 Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
-                              std::vector<PartnerName>& partners) try {
+                              std::vector<PartnerName>& partners, EntryWords* words) try {
   StripHeader header;
   if (auto ok = checkHeader(info, stored, header); !ok) return ok;
   StripLayout layout{header.nodes, header.chunks, header.blocks, header.entries};
@@ -297,7 +358,10 @@ Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<c
   if (auto ok = decodeNodes(info, scratch.data(), layout, maxRowQuanta(quanta), out); !ok) return ok;
   if (auto ok = decodeLamps(info, scratch.data(), layout, out); !ok) return ok;
   if (auto ok = decodeBlocks(info, scratch.data(), layout, out, partners); !ok) return ok;
-  return decodeEntries(info, scratch, layout, partners, out);
+  if (!words) return decodeEntries(info, scratch, layout, maxRowQuanta(quanta), partners, out, ToArrays(out, layout.entries));
+  for (auto* array : {&out.rows, &out.columns}) array->clear();
+  out.counts.clear();
+  return decodeEntries(info, scratch, layout, maxRowQuanta(quanta), partners, out, ToWords(*words, layout.entries));
 } catch (const std::bad_alloc&) {
   return Error{ErrorCode::kIo, "", "", "out of memory while decoding a strip", "close other programs"};
 }

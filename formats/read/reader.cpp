@@ -244,7 +244,7 @@ Result<World::Tiles> World::childTiles(const TileRef& tile) const {
   return Tiles{std::move(*below), info.first_child - first, info.end_child - first};
 }
 
-Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners) const {
+Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners, EntryWords* words) const {
   const State& s = *state_;
   const TileInfo& info = tile.info();
   thread_local std::vector<PartnerName> names;
@@ -253,7 +253,7 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
     e.place = tileText(tile) + ", strip at offset " + std::to_string(info.strip.offset);
     return e;
   };
-  if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names); !ok) {
+  if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names, words); !ok) {
     s.forget(info.strip);
     return inShard(ok.error());
   }

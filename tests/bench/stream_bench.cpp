@@ -380,7 +380,7 @@ int main(int argc, char** argv) {
   app.add_option("--patches", options.patches, "of the town that is baked: 60000, 60k, 1M")->transform(CLI::AsSizeValue(true))->capture_default_str();
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
-  app.add_option("--path", options.path, "paths whose names begin so, or reload; all without it");
+  app.add_option("--path", options.path, "paths whose names begin so, reload, or decoding; all without it");
   app.add_option("--replay", options.replay, "a path that formfieldWriteTrace has recorded, instead of those; give --world");
   app.add_option("--height", options.height_m, "of the eyes, m, in the world's coordinates")->capture_default_str();
   app.add_option("--reader", options.reader, "io_uring or threads; what streams choose without it")->check(CLI::IsMember({"io_uring", "threads"}));
@@ -417,7 +417,7 @@ int main(int argc, char** argv) {
     }
   }
   if (!recorded && std::string("reload").starts_with(options.path)) printReload(world, name, options);
-  if (!recorded && options.path.empty()) printDecoding(world, name);
+  if (!recorded && std::string("decoding").starts_with(options.path)) printDecoding(world, name);
   std::filesystem::remove_all(folder);
   return 0;
 }
