@@ -510,7 +510,7 @@ auto caught(const Scene& scene, const BakeSettings& settings, const std::string&
   } catch (const SpillFailed& failed) {
     return failed.error;
   } catch (const std::bad_alloc&) {  // the estimate was too low
-    return Error{ErrorCode::kIo, scene.name, "", "the bake ran out of memory", "use a larger --patch-size, fewer --rays or a smaller --memory"};
+    return Error{ErrorCode::kIo, scene.name, "", "the bake ran out of memory", "use a larger --patch-size or a smaller --memory"};
   } catch (const std::system_error& e) {  // of threads: files have errors of their own
     return Error{ErrorCode::kIo, scene.name, "", std::string("the bake ran out of threads: ") + e.what(), "use fewer --threads, or raise the limit on processes"};
   } catch (const std::exception& e) {  // OpenVDB's, TBB's

@@ -128,7 +128,7 @@ Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const B
     if (estimateBake(scene, larger).least_memory_bytes > 0.8 * free) continue;
     char size[32];
     std::snprintf(size, sizeof size, "%.3g", static_cast<double>(larger.cell_m));
-    remedy = settings.cell_m > 0 ? std::string("use --patch-size ") + size + " or larger, or a --patch-budget" : "use a smaller --patch-budget or fewer --rays";
+    remedy = settings.cell_m > 0 ? std::string("use --patch-size ") + size + " or larger, or a --patch-budget" : "use a smaller --patch-budget";
     break;
   }
   return Error{ErrorCode::kUsage, scene.name, "",

@@ -12,8 +12,8 @@ namespace {
 
 constexpr uint32_t kGroup = 16;              // blocks that are read together: 6 KiB
 constexpr size_t kGroupBytes = kGroup * sizeof(Block);
-constexpr uint32_t kShards = 16, kLeastSlots = 64;  // of a shard
-constexpr size_t kPinsACore = 4, kLeastPins = 64;  // threads that may read at a time
+constexpr uint32_t kShards = 16;
+constexpr uint32_t kPinsACore = 4, kLeastPins = 64;  // readers at a time; a thread has two where it builds a tree on its way
 
 void freeHeld(std::byte* at) { ::operator delete[](at, std::align_val_t(alignof(Block))); }
 
@@ -44,13 +44,14 @@ void BlockStore::finish() {
   if (!file_) return;
   const uint32_t groups = (size_ + kGroup - 1) / kGroup;
   const uint64_t wanted = std::min<uint64_t>(groups, cache_bytes_ / kGroupBytes);
-  const auto of_shard = static_cast<uint32_t>(std::max<uint64_t>(kLeastSlots, wanted / kShards));
+  const uint32_t pins = std::max(kLeastPins, kPinsACore * std::thread::hardware_concurrency());
+  const auto of_shard = static_cast<uint32_t>(std::max<uint64_t>(pins + 1, wanted / kShards));  // one is free, whatever readers hold
   slot_of_ = std::vector<std::atomic<uint32_t>>(groups);
   for (auto& slot : slot_of_) slot.store(kNothing, std::memory_order_relaxed);
   slots_ = std::vector<Slot>(size_t{kShards} * of_shard);
   shards_ = std::vector<Shard>(kShards);
   for (uint32_t s = 0; s < kShards; ++s) shards_[s].first_slot = s * of_shard, shards_[s].slots = of_shard;
-  pins_ = std::vector<Pin>(std::max(kLeastPins, kPinsACore * std::thread::hardware_concurrency()));
+  pins_ = std::vector<Pin>(pins);
   held_ = {static_cast<std::byte*>(::operator new[](slots_.size() * kGroupBytes, std::align_val_t(alignof(Block)))), freeHeld};
 }
 
