@@ -12,6 +12,7 @@
 #include <cstring>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -32,6 +33,7 @@ constexpr size_t kSlice = size_t{256} << 20;  // of an array, that is let go tog
                      "make room on that disk, or give more --memory"}};
 }
 
+// An open file that no folder names.
 int openUnnamed(const std::string& folder) {
   const int file = ::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
   if (file >= 0) return file;
@@ -157,17 +159,18 @@ class Pager {
   void keep(std::stop_token stop) {
     std::unique_lock lock(mutex_);
     std::pair<std::byte*, size_t> hand{nullptr, 0};  // an array, and how far it has been let go
-    uint64_t code = ~uint64_t{0};                    // pages of files that are not arrays: what was left when all of those had been let go
+    std::optional<uint64_t> code;                    // pages of files that are not arrays: what was left when all of those had been let go
     while (!stop.stop_requested() && !limits_.empty()) {
       const uint64_t most = limit() / 8 * 7;
       auto pause = kLook;
       if (const ResidentMemory now = residentMemory(); !files_.empty() && now.all > most) {
-        const uint64_t others = now.all - now.files + (code == ~uint64_t{0} ? 0 : std::min(code, now.files)), left = others + (most - std::min(most, others)) / 2;
+        const uint64_t others = now.all - now.files + std::min(code.value_or(0), now.files), left = others + (most - std::min(most, others)) / 2;
         uint64_t visited = 0;
         for (; visited < paged_ && residentMemory().all > left; visited += letGo(hand)) continue;
         if (visited >= paged_) {  // once more, and at once
           for (const auto& [at, bytes] : files_) ::madvise(at, bytes, MADV_DONTNEED);
-          code = std::min(code, residentMemory().files);
+          const uint64_t kept = residentMemory().files;
+          code = std::min(code.value_or(kept), kept);
         }
         if (others >= most) pause *= 8;  // it is not the arrays
       }
@@ -192,7 +195,7 @@ class Pager {
   std::vector<Limit> limits_;
   std::map<std::byte*, size_t> files_;  // mapped, by address
   uint64_t in_memory_ = 0, paged_ = 0;  // of large arrays, B
-  uint64_t unmapped_ = 0, most_aside_ = 0;
+  uint64_t unmapped_ = 0, most_aside_ = 0;  // of files that are not mapped; of both, B
   std::jthread keeper_;
 };
 

@@ -1,8 +1,6 @@
 #include "bake/light/form_factor.h"
 
 #include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_for.h>
-#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <atomic>
@@ -11,6 +9,7 @@
 #include <memory>
 #include <mutex>
 
+#include "bake/all_threads.h"
 #include "bake/light/row_error.h"
 #include "bake/rays/cosine_rays.h"
 #include "bake/surface/sealed.h"
@@ -218,9 +217,9 @@ void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, 
   const std::vector<uint32_t> start = castRanges(set);
   const RowCaster rows(scene, set, caster, budget, seed);
   std::atomic<size_t> next{0};
-  tbb::parallel_for(0, tbb::this_task_arena::max_concurrency(), [&](int) {  // in order: all threads are in one neighbourhood, of which memory holds what they need
+  onAllThreads([&] {  // in order: all are in one neighbourhood, of which memory holds what they need
     for (size_t r = next++; r + 1 < start.size(); r = next++) take(start[r], rows.cast(start[r], start[r + 1], nullptr, done));
-  }, tbb::simple_partitioner());
+  });
 }
 
 HitRows castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done) {

@@ -2,7 +2,6 @@
 
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
-#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <atomic>
@@ -12,6 +11,7 @@
 #include <optional>
 #include <set>
 
+#include "bake/all_threads.h"
 #include "bake/bake_code.h"
 #include "bake/packing.h"
 #include "formats/codec/bytes.h"
@@ -309,12 +309,6 @@ class Handout {
   size_t next_ = 0;
   std::set<uint32_t> begun_, done_;  // by others
 };
-
-// On each of TBB's threads.
-template <class F>
-void onAllThreads(F f) {
-  tbb::parallel_for(0, tbb::this_task_arena::max_concurrency(), [&](int) { f(); }, tbb::simple_partitioner());
-}
 
 }  // namespace
 

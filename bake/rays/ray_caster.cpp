@@ -130,7 +130,7 @@ struct RayCaster::State {
 
   void begin(const char* embree);
   void measure();
-  void makeParts();
+  void makeParts(uint64_t memory_bytes);
   void makeBlocks(Part& part, std::span<RTCBuildPrimitive> primitives);
   RTCScene makeTree(const Part& part) const;
   void makeTop();
@@ -432,18 +432,18 @@ std::vector<std::span<RTCBuildPrimitive>> partsOf(std::span<RTCBuildPrimitive> t
 }  // namespace
 
 // Parts, and their blocks.
-void RayCaster::State::makeParts() {
+void RayCaster::State::makeParts(uint64_t memory_bytes) {
   PagedVector<RTCBuildPrimitive> primitives;
   primitives.reserve(scene->triangles.size());
   for (uint32_t t = 0; t < scene->triangles.size(); ++t) {
     const Box box = boxOf(cornersOf(*scene, t));
     primitives.push_back({box.lo.x, box.lo.y, box.lo.z, 0, box.hi.x, box.hi.y, box.hi.z, t});
   }
-  const auto triangles = static_cast<double>(primitives.size()), room = static_cast<double>(tree_bytes);
+  const auto triangles = static_cast<double>(primitives.size()), room = static_cast<double>(memory_bytes);
   const bool aside = isPaging() && triangles * (kTreeBytes + kBlockBytes) > room;
-  const uint64_t cache_bytes = aside ? std::max(tree_bytes / kBlocksOf, tree_bytes - std::min(tree_bytes, static_cast<uint64_t>(triangles * kPartTreeBytes))) : 0;
+  const uint64_t cache_bytes = aside ? std::max(memory_bytes / kBlocksOf, memory_bytes - std::min(memory_bytes, static_cast<uint64_t>(triangles * kPartTreeBytes))) : 0;
   blocks = aside ? std::make_unique<BlockStore>(cache_bytes) : std::make_unique<BlockStore>();
-  tree_bytes -= cache_bytes;
+  tree_bytes = memory_bytes - cache_bytes;
   const bool in_parts = aside || triangles * kTreeBytes > room;
   const auto of_part = std::clamp(static_cast<size_t>(static_cast<double>(tree_bytes) / (kTrees * kTreeBytes)), kLeastPart, kMostPart);
   const auto of_parts = partsOf(primitives, in_parts ? of_part : primitives.size());
@@ -618,11 +618,10 @@ void RayCaster::State::letGo() const {
 Result<RayCaster> RayCaster::create(const Scene& scene, uint64_t memory_bytes, const char* embree) {
   auto state = std::make_shared<State>();
   state->scene = &scene;
-  state->tree_bytes = memory_bytes;
   state->begin(embree);
   if (!state->device) return Error{ErrorCode::kIo, scene.name, "", "Embree cannot start on this machine", ""};
   state->measure();
-  state->makeParts();
+  state->makeParts(memory_bytes);
   if (!state->failed) state->makeTop();
   if (state->failed) return Error{ErrorCode::kIo, scene.name, "", "Embree: " + state->error, ""};
   state->built = true;

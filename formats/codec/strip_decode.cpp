@@ -359,7 +359,8 @@ Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<c
   if (auto ok = decodeLamps(info, scratch.data(), layout, out); !ok) return ok;
   if (auto ok = decodeBlocks(info, scratch.data(), layout, out, partners); !ok) return ok;
   if (!words) return decodeEntries(info, scratch, layout, maxRowQuanta(quanta), partners, out, ToArrays(out, layout.entries));
-  for (auto* array : {&out.rows, &out.columns}) array->clear();
+  out.rows.clear();
+  out.columns.clear();
   out.counts.clear();
   return decodeEntries(info, scratch, layout, maxRowQuanta(quanta), partners, out, ToWords(*words, layout.entries));
 } catch (const std::bad_alloc&) {

@@ -171,6 +171,34 @@ TEST(StripRules, BlocksAreInOrderAndComplete) {
   expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks() + 3, 0xff); });
 }
 
+// The same strip decoded into words is refused where it is refused as arrays, and else has the entries of `arrays`.
+void expectSameAsWords(const TileInfo& info, uint32_t quanta, std::span<const std::byte> bytes, bool accepted, const Strip& arrays) {
+  static EntryWords words;  // as between strips
+  Strip out;
+  std::vector<PartnerName> partners;
+  ASSERT_EQ(decodeStripBytes(info, quanta, bytes, out, partners, &words).has_value(), accepted);
+  if (!accepted) return;
+  EXPECT_TRUE(out.rows.empty() && out.columns.empty() && out.counts.empty());
+  ASSERT_EQ(words.block_runs.size(), arrays.blocks.size());
+  size_t e = 0, run = 0, word = 0;
+  for (size_t b = 0; b < arrays.blocks.size(); ++b) {
+    const size_t end = e + arrays.blocks[b].entries, runs_end = run + words.block_runs[b];
+    for (; run < runs_end; ++run)
+      for (const size_t words_end = word + words.runs[run].words; word < words_end; ++e) {
+        ASSERT_LT(e, end);
+        ASSERT_EQ(arrays.rows[e], words.runs[run].row);
+        uint32_t count = 0;
+        do {
+          ASSERT_EQ(words.words[word] >> 8, arrays.columns[e]);
+          count += words.words[word] & kMaxWordCount;
+        } while (++word < words_end && words.words[word] >> 8 == arrays.columns[e]);
+        ASSERT_EQ(count, arrays.counts[e]);
+      }
+    ASSERT_EQ(e, end);
+  }
+  EXPECT_EQ(run, words.runs.size());
+}
+
 TEST(StripRules, PartnersAreNamedFromTheStripsOwnChunk) {
   Strip strip = sampleStrip();
   strip.blocks = {{1, 2}, {2, 1}, {6, 1}};
@@ -183,6 +211,7 @@ TEST(StripRules, PartnersAreNamedFromTheStripsOwnChunk) {
   Strip out;
   std::vector<PartnerName> partners;
   ASSERT_TRUE(decodeStripBytes(encoded->info, 1000, encoded->bytes, out, partners));
+  expectSameAsWords(encoded->info, 1000, encoded->bytes, true, out);  // a count of 892 is four words
   ASSERT_EQ(partners.size(), 3u);
   for (const auto& [k, step, tile, columns] : std::vector<std::tuple<size_t, int, uint32_t, uint32_t>>{{0, -1, 1, 5}, {1, -1, 2, 10}, {2, 0, 3, 1}}) {
     EXPECT_EQ(partners[k].step, (ChunkCell{step, 0, 0}));
@@ -279,7 +308,9 @@ TEST(StripRules, RandomDamageIsRefusedOrHarmless) {
     const std::vector<std::byte> bytes = strip.seal();
     Strip out;
     std::vector<PartnerName> partners;
-    if (!decodeStripBytes(strip.info, strip.quanta, bytes, out, partners)) continue;
+    const bool decoded = decodeStripBytes(strip.info, strip.quanta, bytes, out, partners).has_value();
+    expectSameAsWords(strip.info, strip.quanta, bytes, decoded, out);
+    if (!decoded) continue;
     // As World::decodeStrip resolves them; a name that is not there is refused by it.
     bool known = true;
     for (size_t b = 0; b < partners.size(); ++b) {

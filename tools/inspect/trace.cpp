@@ -6,6 +6,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <thread>
+#include <tuple>
 
 #include "tools/inspect/inspect.h"
 #include "tools/inspect/recorded_path.h"
