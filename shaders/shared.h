@@ -22,7 +22,7 @@ struct alignas(16) mat4 {
 // but a thousandth. Its square times 65536 is still a number.
 FF_CONST float kMaxRadiosity = 1e15f;
 
-// --- gather*.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
+// --- gather*.comp, ease.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
@@ -56,6 +56,10 @@ struct TileJob {
 FF_CONST uint kStartKept = 0u;
 FF_CONST uint kStartParent = 1u;  // the parent's; from zero at the top level
 FF_CONST uint kStartZero = 2u;
+FF_CONST uint kStartEased = 3u;   // the parent's irradiance on their own albedo, in either buffer
+
+// Light held back (Solver::ease) that is found to be larger than so many times itself takes its full time again.
+FF_CONST float kHeldGrown = 1.05f;
 
 struct JobPush {
   uint first;  // job
@@ -65,10 +69,15 @@ struct JobPush {
 struct GatherPush {
   uint slots;
   uint segment;
-  float omega;  // of a step that goes further
+  float omega;   // of a step that goes further
+  uint frames;   // that what is held back takes to go, where it is found
 };
 // gather_change.comp
 struct ChangePush {
+  uint slots;
+};
+// ease.comp
+struct EasePush {
   uint slots;
 };
 // Consecutive slots. Those with one parent name each other in a ring (LocalMatrix::next_sibling), all within the span.
@@ -78,6 +87,8 @@ struct SlotSpan {
 };
 struct ShinePush {
   uint slots;
+  uint stepped;  // 1: a step was made with these sources
+  uint fades;    // 1: weights count
 };
 struct RefinePush {
   uint first;   // span

@@ -35,7 +35,6 @@ struct CpuDevice final : FormfieldDevice_T {
     const DenseStats* const known = &solver->stats();
     return WorldSolver{std::move(solver), nullptr, known};
   }
-  bool fades() const override { return true; }
   int threads = 0;
 };
 
@@ -189,7 +188,7 @@ Result<std::unique_ptr<Generation>> FormfieldWorld_T::openGeneration(SolverChoic
   FormfieldWorldSettings cut = settings;
   takeCut(*recommended, cut);
   if (cut.radius_m == 0) cut.radius_m = kRadiusCells * opened->info().cell_m;
-  GenerationSettings with{streamSettings(cut), {.frames = device.fades() ? settings.fade_frames : 0}, {}, settings.max_applied_tiles};
+  GenerationSettings with{streamSettings(cut), {.frames = settings.fade_frames}, {}, settings.max_applied_tiles};
   if (settings.probes > 0) {
     with.probes.emplace();
     with.probes->rays = settings.probe_rays;

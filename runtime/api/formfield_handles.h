@@ -51,7 +51,6 @@ struct FormfieldDevice_T {
   // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
   bool records() const { return records(ff::runtime::SolverKind::kGather); }
   virtual bool records(ff::runtime::SolverKind) const { return false; }
-  virtual bool fades() const { return false; }        // its solvers can ease light in
   virtual uint64_t submissions() const { return 0; }  // of our own to a queue, for tests: each is waited for
   std::string name, error;
 };

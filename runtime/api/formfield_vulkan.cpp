@@ -54,6 +54,7 @@ class VulkanRecording final : public Recording {
       if (auto set = recorder_.setEmission(world_->updater().emission()); !set) return set;
       emission_ = world_->updater().emissionChange();
     }
+    if (world_->updater().fade().weights(world_->updater().matrix(), weights_)) recorder_.setWeights(weights_);
     return recorder_.record(commands_, iterations);
   }
   void lastSeen(std::span<Vec4> reflected) const override {
@@ -73,6 +74,7 @@ class VulkanRecording final : public Recording {
   VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
       : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {
     reflected_.reserve(kMaxSlots);
+    weights_.reserve(kMaxSlots);
   }
 
   uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
@@ -87,8 +89,12 @@ class VulkanRecording final : public Recording {
     for (size_t t = anew_ < records_ ? matrix.tiles.size() : 0; t-- > 0;) {  // parents first
       const SlotRange& range = matrix.tiles[t];
       if (fresh ? entered_[range.first_slot] <= arrived.record : entered_[range.first_slot] != records_) continue;
-      for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot)
-        reflected_[slot] = matrix.parent_slot[slot] != kNoSlot ? reflected_[matrix.parent_slot[slot]] : Vec4{};
+      const bool eased = world.updater().fade().frames() > 0;
+      for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
+        const uint32_t parent = matrix.parent_slot[slot];
+        const Vec4 b = parent != kNoSlot ? reflected_[parent] : Vec4{};
+        reflected_[slot] = parent != kNoSlot && eased ? onAlbedo(b, matrix.albedo[parent], matrix.albedo[slot], b) : b;
+      }
     }
     world.radiosity.assign(reflected_.begin(), reflected_.end());
     world.updater().show(world.radiosity);
@@ -109,6 +115,7 @@ class VulkanRecording final : public Recording {
   Buffer buffer_;
   std::vector<Region> regions_;
   std::vector<Vec4> reflected_;    // by slot, as far as it has come back
+  std::vector<float> weights_;     // by slot, of what fades
   std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
   uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
   uint64_t anew_ = 0;                    // the first record with the slots of now

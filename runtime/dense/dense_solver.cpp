@@ -7,6 +7,7 @@
 
 #include "runtime/clock.h"
 #include "runtime/dense/bounce_monitor.h"
+#include "runtime/solver/held_light.h"
 #include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
@@ -41,13 +42,17 @@ class Dense final : public DenseSolver {
     }
     for (auto* v : {&minus_, &residual_}) v->assign(slots, {});
     rows_.takeUp(matrix);
+    if (anew) stepped_ = false;
+    held_.rowsChanged(slots, stepped_ && settings_.correct);
     if (!anew)
       for (const uint32_t t : change.entered) {  // parents first
         const SlotRange& range = matrix.tiles[t];
         for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
           const uint32_t parent = matrix.parent_slot[s];
           irradiance_[s] = parent != kNoSlot ? irradiance_[parent] : Vec4{};
-          radiosity_[s] = parent != kNoSlot ? radiosity_[parent] : Vec4{};
+          const Vec4 b = parent != kNoSlot ? radiosity_[parent] : Vec4{};
+          radiosity_[s] = parent != kNoSlot && held_.due() ? onAlbedo(b, matrix.albedo[parent], matrix.albedo[s], b) : b;
+          held_.enter(s);
         }
       }
     before_ = -1;
@@ -71,6 +76,7 @@ class Dense final : public DenseSolver {
 
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
+    if (held_.goesBefore()) hold();
     repaired_ += copySound(source, source_);
     before_ = -1;
     return {};
@@ -82,6 +88,8 @@ class Dense final : public DenseSolver {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto solve = [](float b, float m, float rho) { return rho > 1e-3f ? std::max(0.0f, (b - m) / rho) : 0.0f; };
     repaired_ += copySound(radiosity, radiosity_);
+    stepped_ = false;
+    held_.letGo();
     for (uint32_t s = 0; s < radiosity.size(); ++s) {
       const Vec4 b = radiosity_[s], m = source_[s], rho = matrix_->albedo[s];
       irradiance_[s] = {solve(b.x, m.x, rho.x), solve(b.y, m.y, rho.y), solve(b.z, m.z, rho.z), 0};
@@ -90,9 +98,16 @@ class Dense final : public DenseSolver {
     return {};
   }
 
+  void ease(uint32_t frames) override { held_.ease(frames); }
+
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = Clock::now();
+    if (held_.due()) hold();
+    if (held_.holds()) {
+      held_.released(held_.release(matrix_->leaves, source_));
+      before_ = -1;
+    }
     const uint32_t blocks =
         rebuilding_ ? std::max(settings_.blocks_per_frame, kRebuildBlocks) : settings_.blocks_per_frame;
     if (blocks > 0 && stats_.waiting > 0)
@@ -102,6 +117,7 @@ class Dense final : public DenseSolver {
     for (int i = 0; i < k; ++i)
       if (auto done = settings_.correct ? correct() : relight(); !done) return done;
     compose();
+    stepped_ = true;
     if (settings_.correct)
       if (auto probed = probe(); !probed) return probed;
     last_ms_ = msSince(start);
@@ -158,9 +174,22 @@ class Dense final : public DenseSolver {
     return settings_.correct ? Result<void>() : enter(bounces_->capacity());  // a baseline has nothing else
   }
 
-  void compose() {
+  // B stays what it is: E becomes what the rows of now make of it, and the difference is held back.
+  void hold() {
+    std::ranges::fill(minus_, Vec4{});
+    rows_.gather(matrix_->leaves, radiosity_, minus_, residual_);
     for (const uint32_t s : matrix_->leaves) {
-      radiosity_[s] = source_[s] + matrix_->albedo[s] * irradiance_[s];
+      irradiance_[s] = residual_[s];
+      held_.take(s, radiosity_[s] + (source_[s] + matrix_->albedo[s] * irradiance_[s]) * Vec4{-1, -1, -1, 0});
+    }
+    held_.taken();
+  }
+
+  void compose() {
+    const std::vector<Vec4>& source = held_.holds() ? held_.lit() : source_;
+    for (const uint32_t s : matrix_->leaves) {
+      const Vec4 b = source[s] + matrix_->albedo[s] * irradiance_[s];
+      radiosity_[s] = held_.holds() ? Vec4{std::max(b.x, 0.0f), std::max(b.y, 0.0f), std::max(b.z, 0.0f), 0} : b;
       if (isSound(radiosity_[s])) continue;
       radiosity_[s] = source_[s];
       ++repaired_;
@@ -248,6 +277,8 @@ class Dense final : public DenseSolver {
   std::vector<Vec4> source_, irradiance_, radiosity_, minus_, residual_;  // per slot
   std::vector<Vec4> by_place_, out_by_place_;
   bool rebuilding_ = false;
+  HeldLight held_;
+  bool stepped_ = false;  // radiosity_ is what a step came to
   double before_ = -1;  // residual before the last correction; -1: not to be compared with
   double last_ms_ = 0;
   uint64_t repaired_ = 0;

@@ -8,6 +8,7 @@
 #include "runtime/clock.h"
 #include "runtime/gather/gather_kernels.h"
 #include "runtime/gather/semi_iteration.h"
+#include "runtime/solver/held_light.h"
 #include "runtime/solver/solver.h"
 #include "runtime/solver/sound_light.h"
 #include "runtime/solver/worker_pool.h"
@@ -18,33 +19,11 @@ namespace {
 constexpr uint32_t kPartRefined = 2048;   // likewise, of refined slots; a single part is done without a meeting
 constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
 
-// What is held back of a slot's light (Solver::ease), W/m2, and for how many frames more.
-struct HeldLight {
-  Vec4 light;
-  uint32_t frames = 0;
-
-  // It is so much now. What has grown takes its full time again; the rest goes on.
-  void take(const Vec4& now, uint32_t most_frames) {
-    if (!(size(now) <= size(light) * kGrown)) frames = most_frames;
-    light = isSound(now) ? now : Vec4{};
-  }
-  // A frame passes; whether anything is left.
-  bool release() {
-    const float stays = frames > 1 ? static_cast<float>(frames - 1) / static_cast<float>(frames) : 0;
-    light = light * Vec4{stays, stays, stays, 0};
-    if (frames > 0) --frames;
-    return frames > 0;
-  }
-  static float size(const Vec4& v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
-  static constexpr float kGrown = 1.05f;
-};
-
 class CpuGather final : public Solver {
  public:
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
-    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_, &lit_}) per_slot->reserve(kMaxSlots);
-    held_.reserve(kMaxSlots);
+    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
     parts_.reserve(kMaxSlots + 1);
   }
 
@@ -57,11 +36,9 @@ class CpuGather final : public Solver {
       else
         for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
     }
-    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_, &lit_}) per_slot->resize(matrix.slots());
-    held_.resize(matrix.slots());
-    if (all) forget();
-    to_hold_ = ease_frames_ > 0 && stepped_;
-    source_is_old_ = true;
+    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
+    if (all) stepped_ = false;
+    held_.rowsChanged(matrix.slots(), stepped_);
     if (all) {
       for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
     } else {
@@ -70,7 +47,8 @@ class CpuGather final : public Solver {
         for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
           const uint32_t parent = matrix.parent_slot[s];
           from_[s] = parent != kNoSlot ? from_[parent] : Vec4{};
-          if (to_hold_) inherit(s, parent);
+          held_.enter(s);
+          if (held_.due()) inherit(s, parent);
           reflectance_[s] = reflectance(s);
         }
       }
@@ -82,9 +60,8 @@ class CpuGather final : public Solver {
 
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
-    if (to_hold_ && !source_is_old_) hold();  // with the light of before
+    if (held_.goesBefore()) hold();
     repaired_ += copySound(source, source_);
-    source_is_old_ = false;
     pace_.forget();
     return {};
   }
@@ -92,21 +69,19 @@ class CpuGather final : public Solver {
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
     FF_CHECK_EQ(radiosity.size(), from_.size());
     repaired_ += copySound(radiosity, from_);
-    forget();
+    stepped_ = false;
+    held_.letGo();
     pace_.forget();
     return {};
   }
 
-  void ease(uint32_t frames) override {
-    ease_frames_ = frames;
-    if (frames == 0) letGo();
-  }
+  void ease(uint32_t frames) override { held_.ease(frames); }
 
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = Clock::now();
-    if (to_hold_) hold();
-    if (holding_) release();
+    if (held_.due()) hold();
+    if (held_.holds()) release();
     for (int i = 0; i < k; ++i) step();
     last_ms_ = msSince(start);
     return {};
@@ -162,34 +137,18 @@ class CpuGather final : public Solver {
     before_.resize(to_.size());
     forLeaves([&](std::span<const uint32_t> leaves, uint32_t begin, uint32_t end) {
       (void)kernel_(jobOf(source_, to_, before_), begin, end);
-      for (const uint32_t s : leaves) held_[s].take(from_[s] + before_[s] * Vec4{-1, -1, -1, 0}, ease_frames_);
+      for (const uint32_t s : leaves) held_.take(s, from_[s] + before_[s] * Vec4{-1, -1, -1, 0});
     });
-    to_hold_ = false;
-    holding_ = true;
+    held_.taken();
   }
 
   // A frame passes.
   void release() {
     std::atomic<bool> left = false;
     forLeaves([&](std::span<const uint32_t> leaves, uint32_t, uint32_t) {
-      bool some = false;
-      for (const uint32_t s : leaves) {
-        some |= held_[s].release();
-        lit_[s] = source_[s] + held_[s].light;
-      }
-      if (some) left = true;
+      if (held_.release(leaves, source_)) left = true;
     });
-    holding_ = left;
-  }
-
-  void forget() {  // what a step came from
-    stepped_ = false;
-    letGo();
-  }
-
-  void letGo() {
-    if (holding_) std::ranges::fill(held_, HeldLight{});
-    to_hold_ = holding_ = false;
+    held_.released(left);
   }
 
   GatherJob jobOf(const std::vector<Vec4>& source, const std::vector<Vec4>& from, std::vector<Vec4>& to) const {
@@ -200,8 +159,8 @@ class CpuGather final : public Solver {
   void step(float omega = 1) {
     std::atomic<uint32_t> unsound = 0;
     forLeaves([&](std::span<const uint32_t> leaves, uint32_t begin, uint32_t end) {
-      bool sound = kernel_(jobOf(holding_ ? lit_ : source_, from_, to_), begin, end);
-      if (holding_)
+      bool sound = kernel_(jobOf(held_.holds() ? held_.lit() : source_, from_, to_), begin, end);
+      if (held_.holds())
         for (const uint32_t s : leaves) to_[s] = {std::max(to_[s].x, 0.0f), std::max(to_[s].y, 0.0f), std::max(to_[s].z, 0.0f), 0};
       if (omega != 1) sound = stepFurther(leaves, omega);
       if (!sound) unsound += repair(leaves);
@@ -282,13 +241,8 @@ class CpuGather final : public Solver {
   const LocalMatrix* matrix_ = nullptr;
   std::vector<Vec4> reflectance_, source_, from_, to_;
   std::vector<Vec4> before_;         // of two steps ago, in approach(); scratch of hold()
-  uint32_t ease_frames_ = 0;
-  std::vector<HeldLight> held_;      // of leaves
-  std::vector<Vec4> lit_;            // source_ and held_ together
-  bool stepped_ = false;             // to_ is what the last step came from
-  bool to_hold_ = false;             // the rows have changed since
-  bool source_is_old_ = false;       // source_ is that of before them, without what entered
-  bool holding_ = false;             // held_ is not all zero, and lit_ has it
+  HeldLight held_;
+  bool stepped_ = false;  // to_ is what the last step came from
   std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
   SemiIteration pace_;
   uint64_t repaired_ = 0;

@@ -6,9 +6,11 @@
 #include <utility>
 #include <vector>
 
+#include "ease_comp.h"
 #include "gather_change_comp.h"
 #include "gather_comp.h"
 #include "gather_enter_comp.h"
+#include "gather_hold_comp.h"
 #include "gather_kinds_comp.h"
 #include "gather_leave_comp.h"
 #include "refine_comp.h"
@@ -50,6 +52,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
+  void ease(uint32_t frames) override;
   Result<void> iterate(int k) override;
   Result<void> approach(int k) override;
   Result<void> radiosity(std::span<Vec4> out) override;
@@ -62,6 +65,7 @@ class VulkanGather final : public VulkanRecorder {
   const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
   Result<void> record(VkCommandBuffer commands, int iterations) override;
   Result<void> setEmission(std::span<const Vec4> emission) override;
+  void setWeights(std::span<const float> weights) override;
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
   VkBuffer reflectedBuffer() const override { return radiosity_[now_].handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
@@ -91,33 +95,37 @@ class VulkanGather final : public VulkanRecorder {
   void listSpans();
   void recordCopies(VkCommandBuffer c);
   void recordChange(VkCommandBuffer c);
+  void recordHold(VkCommandBuffer c);
   void recordIteration(VkCommandBuffer c, bool first, float omega);
-  // omega(): of the next step.
+  // omega(): of the next step. frames: that pass before them.
   template <class Omega>
-  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega);
+  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega, int frames);
   template <class Omega>
-  Result<void> runSteps(int steps, Omega&& omega);
+  Result<void> runSteps(int steps, Omega&& omega, int frames = 0);
   Result<double> runMeasuredStep();
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
   void readTime(uint32_t frame, bool wait);
   uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
   void forgetStaged();
+  void letGo();
 
   std::shared_ptr<VkContext> context_;  // first: outlives everything below
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, change_, refine_, shine_;
-  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, output_, staging_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, ease_, change_, refine_, shine_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, weights_, output_, staging_;
+  Buffer held_;         // what is held back of light, and for how many frames
+  Buffer last_source_;  // source_ of the last step
   Buffer faults_;   // one word: values repaired in steps
   Buffer changes_;  // of runMeasuredStep(): a float a work group
   Buffer radiosity_[2];  // reflected
   uint32_t now_ = 0;     // radiosity_[now_] is the current one
   StorageSets sets_;
-  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE;
+  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, ease_set_ = VK_NULL_HANDLE;
   VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
-  std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2];  // [segment], [now_][segment]
+  std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2], hold_sets_[2];  // [segment], [now_][segment]
   Handle<VkQueryPool, vkDestroyQueryPool> queries_;             // kQueries a frame in flight
   uint64_t segment_bytes_ = 0;
   uint32_t segments_ = 1;
@@ -127,13 +135,19 @@ class VulkanGather final : public VulkanRecorder {
   uint32_t slots_ = 0;
   std::vector<Level> levels_;  // finest first
   // What the next record() does first.
-  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false;
+  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false, has_weights_ = false;
+  bool has_later_source_ = false;  // light has changed after rows did
   uint32_t left_ = 0;
   std::vector<shaders::TileJob> job_list_;
   std::vector<shaders::SlotSpan> span_list_;
   std::vector<Jobs> enter_jobs_, resolve_jobs_;
   std::vector<VkBufferCopy> copies_to_packed_, copies_to_pages_, copies_to_jobs_, copies_to_spans_, copies_to_source_,
-      copies_to_radiosity_, copies_to_emission_;
+      copies_to_later_source_, copies_to_radiosity_, copies_to_emission_, copies_to_weights_;
+  uint32_t ease_frames_ = 0;
+  bool stepped_ = false;    // radiosity_[now_] is what a step came to, radiosity_[1 - now_] what it came from
+  bool to_hold_ = false;    // rows have changed since
+  uint32_t holding_ = 0;    // frames until held_ is all zero
+  bool let_go_ = false;     // it has to be, now
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
   std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
   uint64_t uploaded_bytes_ = 0, repaired_ = 0;
@@ -168,7 +182,7 @@ Result<void> VulkanGather::start() {
   levels_.reserve(formats::kMaxLevels);
   copies_to_packed_.reserve(settings_.tiles);
   copies_to_pages_.reserve(settings_.pages);
-  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_radiosity_, &copies_to_emission_})
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_emission_, &copies_to_weights_})
     list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
@@ -182,7 +196,7 @@ Result<void> VulkanGather::start() {
       return vkError("vkCreateQueryPool", r);
   }
   auto cleared = context_->run([&](VkCommandBuffer c) {
-    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &radiosity_[0], &radiosity_[1], &kinds_})
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &radiosity_[0], &radiosity_[1], &kinds_, &held_, &last_source_})
       vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
     vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
   });
@@ -205,14 +219,16 @@ Result<void> VulkanGather::makePipelines() {
     bool variant = false;
   };
   const Wanted list[] = {{&leave_, gather_leave_comp, 2, sizeof(shaders::JobPush)},
-                         {&enter_, gather_enter_comp, 7, sizeof(shaders::JobPush)},
+                         {&enter_, gather_enter_comp, 10, sizeof(shaders::JobPush)},
                          {&kinds_pass_, gather_kinds_comp, 2, sizeof(shaders::JobPush)},
                          {&resolve_, resolve_comp, 6, sizeof(shaders::JobPush)},
-                         {&gather_, gather_comp, 8, sizeof(shaders::GatherPush)},
-                         {&gather_further_, gather_comp, 8, sizeof(shaders::GatherPush), true},
+                         {&gather_, gather_comp, 9, sizeof(shaders::GatherPush)},
+                         {&gather_further_, gather_comp, 9, sizeof(shaders::GatherPush), true},
+                         {&hold_, gather_hold_comp, 9, sizeof(shaders::GatherPush)},
+                         {&ease_, ease_comp, 1, sizeof(shaders::EasePush)},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 5, sizeof(shaders::RefinePush)},
-                         {&shine_, shine_comp, 3, sizeof(shaders::ShinePush)}};
+                         {&shine_, shine_comp, 8, sizeof(shaders::ShinePush)}};
   for (const Wanted& w : list) {
     auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes), w.variant);
     if (!made) return made.error();
@@ -225,7 +241,7 @@ Result<void> VulkanGather::makeBuffers() {
   const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
   const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
   // All that one frame can bring: the whole cut, every page, light, emission and radiosity. Each frame's begins aligned.
-  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 3 * slots * sizeof(Vec4);
+  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 4 * slots * sizeof(Vec4) + slots * sizeof(float);
   region_bytes_ = roundUp(most, sizeof(Vec4));
   struct Wanted {
     Buffer* buffer;
@@ -246,6 +262,9 @@ Result<void> VulkanGather::makeBuffers() {
       {&spans_, spans},
       {&emission_, slots * sizeof(Vec4)},
       {&output_, slots * sizeof(Vec4)},
+      {&weights_, slots * sizeof(float)},
+      {&held_, slots * sizeof(Vec4)},
+      {&last_source_, slots * sizeof(Vec4)},
       {&faults_, sizeof(uint32_t), MemoryUse::kHost},
       {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
       {&radiosity_[0], slots * sizeof(Vec4)},
@@ -261,7 +280,7 @@ Result<void> VulkanGather::makeBuffers() {
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 10 + 3 * segments_, 2 + 2 + 14 + 10 + 8 + 6 + segments_ * (6 + 16));
+  auto sets = StorageSets::create(*context_, 11 + 5 * segments_, 2 + 2 + 1 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -275,18 +294,25 @@ Result<void> VulkanGather::makeSets() {
   kinds_set_ = make(kinds_pass_, {whole(parents_), whole(kinds_)});
   for (uint32_t i = 0; i < 2; ++i) {
     enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
-                                  whole(siblings_), whole(radiosity_[i])});
+                                  whole(siblings_), whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(last_source_), whole(held_)});
     refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(siblings_), whole(albedo_), whole(radiosity_[i])});
     change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
-    shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_)});
+    shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_), whole(weights_), whole(parents_), whole(albedo_),
+                                  whole(source_), whole(last_source_)});
   }
+  ease_set_ = make(ease_, {whole(held_)});
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
     resolve_sets_.push_back(make(resolve_, {whole(jobs_), whole(packed_), whole(pages_), whole(kinds_), whole(rows_), segment}));
-    for (uint32_t now = 0; now < 2; ++now)
+    for (uint32_t now = 0; now < 2; ++now) {
       gather_sets_[now].push_back(
           make(gather_, {whole(rows_), segment, whole(albedo_), whole(source_), whole(radiosity_[now]),
-                         whole(radiosity_[1 - now]), whole(kinds_), whole(faults_)}));
+                         whole(radiosity_[1 - now]), whole(kinds_), whole(held_), whole(faults_)}));
+      // With all bounces in a step what it came to has gone on from what rows made of it: that is asked what rows make of it.
+      const Buffer& before = radiosity_[correction_ ? now : 1 - now];
+      hold_sets_[now].push_back(make(hold_, {whole(rows_), segment, whole(albedo_), whole(source_), whole(before),
+                                             whole(radiosity_[now]), whole(kinds_), whole(held_), whole(last_source_)}));
+    }
   }
   return failed;
 }
@@ -315,10 +341,22 @@ Result<void> VulkanGather::flush() {
 // After an update that failed half-way.
 void VulkanGather::forgetStaged() {
   for (auto* list : {&copies_to_packed_, &copies_to_pages_, &copies_to_jobs_, &copies_to_spans_, &copies_to_source_,
-                     &copies_to_radiosity_, &copies_to_emission_})
+                     &copies_to_later_source_, &copies_to_radiosity_, &copies_to_emission_, &copies_to_weights_})
     list->clear();
   region_used_ = 0;
-  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
+  changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = has_weights_ = false;
+}
+
+// What is held back of light is forgotten.
+void VulkanGather::letGo() {
+  let_go_ |= holding_ > 0;
+  holding_ = 0;
+  to_hold_ = false;
+}
+
+void VulkanGather::ease(uint32_t frames) {
+  ease_frames_ = frames;
+  if (frames == 0) letGo();
 }
 
 Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& change) {
@@ -337,6 +375,11 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
       GatherLayout::write(m, tile,
                           reinterpret_cast<uint32_t*>(stage(packed_, tile.packed_at * 4, tile.packed_words * 4, copies_to_packed_)));
   matrix_ = &m;
+  if (all) {
+    stepped_ = false;
+    letGo();
+  }
+  to_hold_ = ease_frames_ > 0 && stepped_;
   listJobs(change, all);
   listSpans();
   if (!job_list_.empty())
@@ -402,7 +445,7 @@ void VulkanGather::listJobs(const MatrixChange& change, bool all) {
       enter_jobs_.push_back({static_cast<uint32_t>(job_list_.size()), 0, 0});
     level = tile.range.id.level;
     ++enter_jobs_.back().count;
-    add(tile, all ? shaders::kStartZero : tile.entered ? shaders::kStartParent : shaders::kStartKept);
+    add(tile, all ? shaders::kStartZero : !tile.entered ? shaders::kStartKept : to_hold_ ? shaders::kStartEased : shaders::kStartParent);
   }
   for (uint32_t s = 0; s < segments_; ++s) {
     const Jobs jobs{static_cast<uint32_t>(job_list_.size()), 0, s};
@@ -458,7 +501,10 @@ void VulkanGather::stageOnce(std::span<const Vec4> values, const Buffer& to, std
 }
 
 Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
-  stageOnce(source, source_, copies_to_source_, has_source_);
+  if (to_hold_ && has_source_)  // what is held back goes by those of before
+    stageOnce(source, source_, copies_to_later_source_, has_later_source_);
+  else
+    stageOnce(source, source_, copies_to_source_, has_source_);
   pace_.forget();
   return {};
 }
@@ -468,6 +514,13 @@ Result<void> VulkanGather::setEmission(std::span<const Vec4> emission) {
   return {};
 }
 
+void VulkanGather::setWeights(std::span<const float> weights) {
+  FF_CHECK_EQ(weights.size(), size_t{slots_});
+  std::byte* const at = has_weights_ ? staging_.mapped() + copies_to_weights_.back().srcOffset : stage(weights_, 0, weights.size_bytes(), copies_to_weights_);
+  std::memcpy(at, weights.data(), weights.size_bytes());
+  has_weights_ = true;
+}
+
 Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
   FF_CHECK_EQ(radiosity.size(), size_t{slots_});
   auto* to = reinterpret_cast<Vec4*>(
@@ -475,6 +528,8 @@ Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
                      : stage(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
   repaired_ += copySound(radiosity, {to, radiosity.size()});
   has_radiosity_ = true;
+  stepped_ = false;
+  letGo();
   pace_.forget();
   return {};
 }
@@ -491,6 +546,9 @@ void VulkanGather::recordCopies(VkCommandBuffer c) {
   copy(copies_to_spans_, spans_);
   copy(copies_to_source_, source_);
   copy(copies_to_emission_, emission_);
+  copy(copies_to_weights_, weights_);
+  if (let_go_) vkCmdFillBuffer(c, held_.handle(), 0, VK_WHOLE_SIZE, 0);
+  let_go_ = false;
   if (all_) vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
 }
 
@@ -519,9 +577,20 @@ void VulkanGather::recordChange(VkCommandBuffer c) {
   separate(c);
 }
 
+// What rows that have changed would have made else of the last step.
+void VulkanGather::recordHold(VkCommandBuffer c) {
+  for (uint32_t s = 0; s < segments_; ++s) {
+    const shaders::GatherPush push{slots_, s, 1, ease_frames_};
+    hold_.dispatch(c, hold_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+  }
+  separate(c);
+  to_hold_ = false;
+  holding_ = ease_frames_;
+}
+
 void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
   for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
-    const shaders::GatherPush push{slots_, s, omega};
+    const shaders::GatherPush push{slots_, s, omega, 0};
     const ComputePipeline& gather = omega == 1 ? gather_ : gather_further_;
     gather.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
   }
@@ -550,11 +619,11 @@ void VulkanGather::readTime(uint32_t frame, bool wait) {
 }
 
 Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
-  return recordSteps(c, iterations, [] { return 1.0f; });
+  return recordSteps(c, iterations, [] { return 1.0f; }, iterations > 0);
 }
 
 template <class Omega>
-Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega) {
+Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega, int frames) {
   FF_CHECK_EQ(matrix_ != nullptr, true);
   const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
   readTime(frame, false);
@@ -567,8 +636,11 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   recordCopies(c);
   separate(c);
   if (changed_) recordChange(c);
-  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_)) {
+  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_ || holding_ > 0)) {
     vkCmdFillBuffer(c, radiosity_[now_].handle(), 0, VK_WHOLE_SIZE, 0);
+    vkCmdFillBuffer(c, held_.handle(), 0, VK_WHOLE_SIZE, 0);
+    to_hold_ = false;
+    holding_ = 0;
     separate(c);
   }
   if (has_radiosity_) {
@@ -576,14 +648,26 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
     copies_to_radiosity_.clear();
     separate(c);
   }
-  changed_ = all_ = has_source_ = has_radiosity_ = has_emission_ = false;
+  if (to_hold_) recordHold(c);
+  if (has_later_source_) {
+    vkCmdCopyBuffer(c, staging_.handle(), source_.handle(), 1, copies_to_later_source_.data());
+    copies_to_later_source_.clear();
+    separate(c);
+  }
+  for (; frames > 0 && holding_ > 0; --frames, --holding_) {
+    const shaders::EasePush push{slots_};
+    ease_.dispatch(c, ease_set_, &push, groupsOf(slots_, shaders::kGatherGroup));
+    separate(c);
+  }
+  changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = false;
   left_ = 0;
   stamp(1);
   for (int i = 0; i < iterations; ++i) recordIteration(c, i == 0, omega());
+  if (iterations > 0) stepped_ = true;
   if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
-  const shaders::ShinePush push{slots_};
+  const shaders::ShinePush push{slots_, iterations > 0, std::exchange(has_weights_, false)};
   shine_.dispatch(c, shine_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
   barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
           VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
@@ -595,13 +679,13 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
 }
 
 template <class Omega>
-Result<void> VulkanGather::runSteps(int k, Omega&& omega) {
+Result<void> VulkanGather::runSteps(int k, Omega&& omega, int frames) {
   double ms = 0;
   for (int done = 0; done < k;) {
     const int n = std::min(k - done, kIterationsPerSubmit);
     const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
     Result<void> recorded;
-    auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega); });
+    auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega, std::exchange(frames, 0)); });
     if (!recorded) return recorded;
     if (!took) return took.error();
     last_ms_ = *took;
@@ -633,7 +717,7 @@ Result<double> VulkanGather::runMeasuredStep() {
 }
 
 Result<void> VulkanGather::iterate(int k) {
-  return runSteps(k, [] { return 1.0f; });
+  return runSteps(k, [] { return 1.0f; }, 1);
 }
 
 Result<void> VulkanGather::approach(int k) {

@@ -24,6 +24,9 @@ class VulkanRecorder : public Solver {
   // What slots emit, a vec4 each, W/m2: from the next record() on it is added to what radiosityBuffer() holds, and to nothing
   // else. After an update() it has to be set again.
   virtual Result<void> setEmission(std::span<const Vec4> emission) = 0;
+  // In what the next record() leaves in radiosityBuffer(), and in that alone: how much of what a slot reflects is its own, from 0 to 1; the
+  // rest is what its parent shows, as the same irradiance on the slot's albedo (cut_fade.h).
+  virtual void setWeights(std::span<const float> weights) = 0;
   // Radiosity per slot after the last recorded iteration, reflected and emitted: a vec4 each (w is 0), W/m2. Always the same
   // buffer.
   virtual VkBuffer radiosityBuffer() const = 0;

@@ -23,7 +23,7 @@ class Solver {
   virtual Result<void> setRadiosity(std::span<const Vec4> radiosity) = 0;
   // From now on light takes so many calls of iterate() to follow a change of the cut. What changed rows, and rows of nodes that enter, would do to a slot at
   // once is held back: it stands beside the slot's source, and goes evenly. Nodes that enter begin with their parents' irradiance. A change of sources is
-  // never held back. 0: what is held back goes now. Solvers that cannot do it do nothing (only the CPU's gather can).
+  // never held back. 0: what is held back goes now. The baselines do nothing.
   virtual void ease(uint32_t) {}
   // k steps, after which refined slots are the mean of their children. What a step is, is the solver's: `gather` makes
   // one Jacobi iteration B <- M + albedo * F B, a dense one takes in all bounces at once.

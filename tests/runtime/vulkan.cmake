@@ -2,7 +2,7 @@
 # vkCreateInstance does not probe hardware drivers; once per subgroup size that lavapipe can take (4, 8, 16 lanes).
 file(GLOB FF_LAVAPIPE /usr/share/vulkan/icd.d/lvp_icd.*.json)
 add_executable(vulkan_test api/formfield_vulkan_test.cpp cut/range_allocator_test.cpp dense/vk_bounce_matrix_test.cpp dense/vk_dense_step_test.cpp
-  gather/vk_gather_test.cpp gather/vk_resolve_test.cpp vulkan/device_test.cpp $<TARGET_OBJECTS:ff_counted_memory>)
+  gather/vk_ease_test.cpp gather/vk_gather_test.cpp gather/vk_resolve_test.cpp vulkan/device_test.cpp $<TARGET_OBJECTS:ff_counted_memory>)
 ff_compile_quickly(vulkan_test)
 # formfield_vulkan.h names its neighbour as an installed header does.
 target_include_directories(vulkan_test PRIVATE ${CMAKE_SOURCE_DIR}/runtime/api)
@@ -27,6 +27,7 @@ endfunction()
 ff_vulkan_test(vk_dense_step TESTS VkDenseStep* WIDTHS 512 128 ONCE *AfterAWalk:*OnAWalk*:*Memory*:*NotStay:*GoesWrong*:*TheProbe*)
 ff_vulkan_test(vk_bounce_matrix TESTS VkBounceMatrix.* WIDTHS 512 128 ONCE *SameBits*)
 ff_vulkan_test(vk_gather TESTS VkGather.* WIDTHS 512 128 256 ONCE *SameBits*:*BadNumbers*)
+ff_vulkan_test(vk_ease TESTS Vulkan/Ease.*:VkShine.* WIDTHS 512 128)
 ff_vulkan_test(vk_resolve TESTS VkResolve.* WIDTHS 128 256 512)
 ff_vulkan_test(vk_device TESTS VkDeviceTest.*:VkContext.*:AdoptedDevice.*:RangeAllocator.* WIDTHS 256)
 ff_vulkan_test(formfield_vulkan TESTS *FormfieldVulkan* WIDTHS 256)

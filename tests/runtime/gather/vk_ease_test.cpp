@@ -1,0 +1,105 @@
+// Light that follows a change of the cut on Vulkan: the cases of the CPU's solvers, and what engines read while tiles fade out.
+#include <cstring>
+
+#include "runtime/gather/vk_recorder.h"
+#include "runtime/vulkan/buffer.h"
+#include "runtime/vulkan/device.h"
+#include "tests/runtime/solver/ease_cases.h"
+#include "tests/runtime/vulkan/validated_vulkan.h"
+
+namespace ff::runtime {
+namespace {
+
+const std::shared_ptr<VkContext>& validated() {
+  static const std::shared_ptr<VkContext> context = [] {
+    auto opened = openVulkan({.device = "auto", .validate = true, .gpu_assisted = false});
+    return opened ? *opened : nullptr;
+  }();
+  return context;
+}
+
+std::vector<std::string> complaints() { return validated() ? validationMessages(*validated()) : std::vector<std::string>(); }
+
+template <class Make>
+EaseCase onDevice(const char* name, uint32_t side, Make&& make) {
+  return {name, side, [make]() -> std::unique_ptr<Solver> {
+            if (!validated()) return nullptr;
+            auto made = make(validated());
+            if (!made) throw std::runtime_error(made.error().line());
+            return std::move(*made);
+          }, complaints};
+}
+
+const VulkanGatherSettings kRoom{.slots = 8192, .tiles = 512, .pages = 512, .packed_bytes = 4 << 20, .entry_bytes = 8 << 20};
+
+INSTANTIATE_TEST_SUITE_P(
+    Vulkan, Ease,
+    testing::Values(onDevice("Gather", 32, [](auto context) { return makeVulkanGather(context, kRoom); }),
+                    // Rows in several ranges of memory.
+                    onDevice("GatherInSegments", 32, [](auto context) {
+                      VulkanGatherSettings room = kRoom;
+                      room.max_binding_bytes = 4 << 20;
+                      return makeVulkanGather(context, room);
+                    }),
+                    onDevice("Multibounce", 16, [](auto context) { return makeVulkanDenseRecorder(context, kRoom, {.places = 512}); })),
+    [](const auto& each) { return each.param.name; });
+
+class VkShine : public ValidatedVulkan {};
+
+TEST_F(VkShine, WhatFadesIsSeenAsItsParentsIrradiance) {
+  const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 3});
+  auto made = makeVulkanRecorder(context_, kRoom);
+  ASSERT_TRUE(made) << made.error().line();
+  VulkanRecorder& recorder = **made;
+  MatrixAssembler assembler(test.world());
+  ASSERT_TRUE(assembler.update(test.randomCut(0.5, 1)));
+  const LocalMatrix& m = assembler.matrix();
+  ASSERT_TRUE(recorder.update(m, assembler.change()));
+  ASSERT_TRUE(recorder.setSource(sourceOf(m)));
+  std::vector<Vec4> emission(m.slots());
+  for (uint32_t s = 0; s < m.slots(); ++s) emission[s] = {static_cast<float>(s % 3), 0, static_cast<float>(s % 2), 0};
+  ASSERT_TRUE(recorder.setEmission(emission));
+  auto copied = Buffer::create(*context_, m.slots() * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT, MemoryUse::kHost);
+  ASSERT_TRUE(copied) << copied.error().line();
+  const auto shown = [&](std::span<const float> weights) {
+    Result<void> recorded;
+    EXPECT_TRUE(context_->run([&](VkCommandBuffer commands) {
+      if (!weights.empty()) recorder.setWeights(weights);
+      recorded = recorder.record(commands, 3);
+      const VkBufferCopy copy{0, 0, m.slots() * sizeof(Vec4)};
+      vkCmdCopyBuffer(commands, recorder.radiosityBuffer(), copied->handle(), 1, &copy);
+      barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    }));
+    EXPECT_TRUE(recorded);
+    std::vector<Vec4> light(m.slots());
+    std::memcpy(light.data(), copied->mapped(), m.slots() * sizeof(Vec4));
+    return light;
+  };
+  std::vector<float> weights(m.slots(), 1);
+  for (uint32_t s = 0; s < m.slots(); ++s) weights[s] = s % 4 == 0 ? 0.0f : s % 4 == 1 ? 0.25f : s % 4 == 2 ? 0.75f : 1.0f;
+  const std::vector<Vec4> fading = shown(weights);
+  std::vector<Vec4> expected = lightOf(recorder, m);  // what is reflected, past any weight
+  for (size_t t = m.tiles.size(); t-- > 0;)           // parents first
+    for (uint32_t s = m.tiles[t].first_slot; s < m.tiles[t].first_slot + m.tiles[t].nodes; ++s) {
+      if (m.parent_slot[s] == kNoSlot) continue;
+      const uint32_t parent = m.parent_slot[s];
+      const float w = weights[s];
+      const Vec4 above = onAlbedo(expected[parent], m.albedo[parent], m.albedo[s], expected[s]);
+      expected[s] = expected[s] * Vec4{w, w, w, 0} + above * Vec4{1 - w, 1 - w, 1 - w, 0};
+    }
+  uint32_t blended = 0;
+  for (const SlotRange& range : m.tiles)
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      const Vec4 sum = expected[s] + emission[s];
+      ASSERT_LT(distance(fading[s], sum), 1e-5f * (1 + sum.x + sum.y + sum.z)) << "slot " << s;
+      blended += weights[s] < 1 && m.parent_slot[s] != kNoSlot;
+    }
+  EXPECT_GT(blended, m.leaves.size() / 2);
+  // They count for one record.
+  const std::vector<Vec4> whole = shown({});
+  const std::vector<Vec4> own = lightOf(recorder, m);
+  for (const uint32_t s : m.leaves) ASSERT_LT(distance(whole[s], own[s] + emission[s]), 1e-5f * (1 + own[s].x + own[s].y + own[s].z));
+}
+
+}  // namespace
+}  // namespace ff::runtime
