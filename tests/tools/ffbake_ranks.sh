@@ -18,28 +18,37 @@ for n in 2 4; do
   rm -rf many/*
 done
 
-# Rank 1 is killed. With recovery the others go on; else mpirun ends them, and the same command goes on from there.
-killed() {  # killed OPTION...
+# One rank is killed: RANK. With recovery the others go on; else mpirun ends them, and the same command goes on from there.
+killed() {  # killed RANK OPTION...
+  local rank=$1; shift
   ranks "$@" -n 3 "${bake[@]}" -o many/w.ffm --quiet >out.txt 2>err.txt & local all=$!
   local victim=
   until [ "$(ls many/w.cache 2>/dev/null | wc -l)" -gt 3 ]; do sleep 0.02; done
   for process in $(pgrep -f "^$ffbake town.glb .*many/w.ffm"); do
-    tr '\0' '\n' <"/proc/$process/environ" 2>/dev/null | grep -qx OMPI_COMM_WORLD_RANK=1 && victim=$process
+    tr '\0' '\n' <"/proc/$process/environ" 2>/dev/null | grep -qx OMPI_COMM_WORLD_RANK=$rank && victim=$process
   done
   [ -n "$victim" ] && kill -KILL "$victim" || fail "nobody to kill"
   code=0; wait $all || code=$?
 }
-killed --enable-recovery
+killed 1 --enable-recovery
 [ $code = 0 ] || fail "a rank that was killed took the others along: exit $code: $(cat err.txt)"
 grep -q '1 of 3 ranks are gone' err.txt || fail "no line about the rank that is gone: $(cat err.txt)"
 cmp <(shards one) <(shards many) || fail "other bytes without rank 1"
 rm -rf many/*
-killed
+killed 1
 [ $code != 0 ] || fail "mpirun says that all is well"
 [ ! -e many/w.ffm ] || fail "there is a world, although the bake was ended"
 expect 0 ranks -n 2 "${bake[@]}" -o many/w.ffm --quiet --json
 python3 -c 'import json; u = json.load(open("out.txt"))["ray_units"]; assert u["clean"] > 0, u' || fail "all was done again: $(cat out.txt)"
 cmp <(shards one) <(shards many) || fail "other bytes after a rank was killed"
+
+# Rank 0 is killed, and nobody tells the others: they notice, and the same command goes on.
+rm -rf many/*
+killed 0 --enable-recovery
+[ "$(grep -c 'rank 0 has said nothing' err.txt)" = 2 ] || fail "the others did not notice: $(cat err.txt)"  # mpirun itself exits with 0 all the same
+[ ! -e many/w.ffm ] || fail "there is a world, although rank 0 was killed"
+expect 0 ranks -n 2 "${bake[@]}" -o many/w.ffm --quiet --json
+cmp <(shards one) <(shards many) || fail "other bytes after rank 0 was killed"
 
 # What goes wrong on rank 0 ends all, with its line and its code.
 code=0; ranks -n 2 "${bake[@]}" -o absent/w.ffm --cache c --quiet >out.txt 2>err.txt || code=$?
