@@ -619,7 +619,7 @@ void VulkanGather::readTime(uint32_t frame, bool wait) {
 }
 
 Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
-  return recordSteps(c, iterations, [] { return 1.0f; }, iterations > 0);
+  return recordSteps(c, iterations, [] { return 1.0f; }, iterations > 0 ? 1 : 0);
 }
 
 template <class Omega>

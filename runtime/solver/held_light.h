@@ -38,7 +38,10 @@ class HeldLight {
   // Whether the solver has to take() of all leaves now, and say so.
   bool due() const { return due_; }
   void take(uint32_t slot, const Vec4& light) { held_[slot].take(light, ease_frames_); }
-  void taken() { holds_ = !(due_ = false); }
+  void taken() {
+    due_ = false;
+    holds_ = true;
+  }
 
   bool holds() const { return holds_; }
   // A frame passes; whether anything is left. lit(): sources with what is held back still.
