@@ -38,7 +38,8 @@ INSTANTIATE_TEST_SUITE_P(
                     // Rows in several ranges of memory.
                     onDevice("GatherInSegments", 32, [](auto context) {
                       VulkanGatherSettings room = kRoom;
-                      room.max_binding_bytes = 4 << 20;
+                      room.entry_bytes = 1 << 18;
+                      room.max_binding_bytes = 1 << 15;
                       return makeVulkanGather(context, room);
                     }),
                     onDevice("Multibounce", 16, [](auto context) { return makeVulkanDenseRecorder(context, kRoom, {.places = 512}); })),
