@@ -29,8 +29,8 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
     before_m2 = t.cumulative_area;
   }
   for (uint32_t i = 0; i < points.size(); ++i) {
-    const auto u = sobol.point(i, seeds);
-    float pick = u[0], v = u[1];
+    const auto u = sobol.point(i, seeds);  // the first two are stratified best together: whereto matters more than where from
+    float pick = u[2], v = u[3];
     const Facet* facet = nullptr;
     Vec3 position;
     for (int attempt = 0; attempt < 16; ++attempt) {  // again where a cutout has a hole
@@ -45,7 +45,7 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
       pick = std::fmod(pick + 0.6180339887f, 1.0f);
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
-    points[i] = {position + facet->normal * facet->offset_m, facet->normal, u[2], u[3]};
+    points[i] = {position + facet->normal * facet->offset_m, facet->normal, u[0], u[1]};
   }
 }
 

@@ -13,6 +13,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <iostream>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <numeric>
@@ -23,6 +24,7 @@
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
+#include "bake/light/row_error.h"
 #include "formats/read/reader.h"
 #include "tests/support/analytic_scenes.h"
 #include "tools/chart/patch_rows.h"
@@ -212,6 +214,62 @@ double rowError(const Scene& scene, const PatchSet& set, const RayCaster& caster
                                     solve(castRows(scene, set, caster, 16384, 77, done), 0));
 }
 
+// What each patch's row brings in each made-up light (bake/light/row_error.h).
+std::vector<std::array<double, MadeUpLight::kLights>> brought(const chart::PatchRows& rows, const MadeUpLight& light) {
+  std::vector<std::array<double, MadeUpLight::kLights>> all(rows.sky.size());
+  tbb::parallel_for(size_t{0}, all.size(), [&](size_t i) {
+    for (uint64_t k = rows.start[i]; k < rows.start[i + 1]; ++k)
+      for (size_t l = 0; l < MadeUpLight::kLights; ++l) all[i][l] += light.shines(rows.column[k], l) ? static_cast<double>(rows.f[k]) : 0;
+  });
+  return all;
+}
+
+// Root mean square over patches and made-up lights, relative to what the reference brings with the sky, or to RowError::kFloor where that is more.
+double madeUpError(const chart::PatchRows& rows, const chart::PatchRows& reference, const MadeUpLight& light) {
+  const auto is = brought(rows, light), should = brought(reference, light);
+  double square = 0;
+  for (size_t i = 0; i < is.size(); ++i)
+    for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
+      const double off = (is[i][l] - should[i][l]) / std::max(should[i][l] + static_cast<double>(reference.sky[i]), RowError::kFloor);
+      square += off * off;
+    }
+  return std::sqrt(square / static_cast<double>(is.size() * MadeUpLight::kLights));
+}
+
+// How much lower the error is than that of rows that each patch's rays alone tell; and if all pairs were known exactly of which rays expect two hits or more.
+struct OverPlain {
+  double pooled = 1, known = 1;
+};
+OverPlain overPlain(const Scene& scene, const PatchSet& set, const RayCaster& caster, uint32_t rays) {
+  WorkCount done;
+  const HitRows hits = castRows(scene, set, caster, rays, 1, done);
+  const chart::PatchRows reference = chart::pooledRows(set, castRows(scene, set, caster, 32768, 77, done), 0), pooled = chart::pooledRows(set, hits, 0);
+  chart::PatchRows plain, known;
+  plain.sky = known.sky = reference.sky;
+  for (uint32_t i = 0; i < hits.patches(); ++i) {
+    for (uint64_t k = hits.start[i]; k < hits.start[i + 1]; ++k) {
+      plain.column.push_back(hits.column[k]);
+      plain.f.push_back(static_cast<float>(hits.count[k]) / static_cast<float>(rays));
+    }
+    plain.start.push_back(plain.column.size());
+    std::map<uint32_t, float> row;
+    for (uint64_t k = pooled.start[i]; k < pooled.start[i + 1]; ++k) row[pooled.column[k]] = pooled.f[k];
+    for (uint64_t k = reference.start[i]; k < reference.start[i + 1]; ++k) {
+      const uint32_t j = reference.column[k];
+      const float expected = reference.f[k] * static_cast<float>(rays) * (1 + set.patches[i].area_m2 / set.patches[j].area_m2);  // from both ends
+      if (expected >= 2) row[j] = reference.f[k];
+    }
+    for (const auto& [j, f] : row) {
+      known.column.push_back(j);
+      known.f.push_back(f);
+    }
+    known.start.push_back(known.column.size());
+  }
+  const MadeUpLight light(set);
+  const double alone = madeUpError(plain, reference, light);
+  return {alone / madeUpError(pooled, reference, light), alone / madeUpError(known, reference, light)};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -281,6 +339,12 @@ int main(int argc, char** argv) {
         "ratio", 1,
         "seconds a patch at " + std::to_string(static_cast<uint64_t>(nodes)) + " patches over that at " +
             std::to_string(little_stats.levels[0].nodes));
+
+  const RayCaster little_caster = orExit(RayCaster::create(little));
+  const OverPlain over_plain = overPlain(little, orExit(makePatches(little, {.cell_m = 1}, &little_caster)), little_caster, 1024);
+  print("bake.plain_error_over_ours", over_plain.pooled, "ratio", 1.8,
+        "made-up lights, 1024 rays, before samples are drawn; against 32768 other rays. If all pairs of which rays expect two hits were known exactly: " +
+            std::to_string(over_plain.known));
 
   const Scene probe = town(folder, accurate);
   const RayCaster probe_caster = orExit(RayCaster::create(probe));
