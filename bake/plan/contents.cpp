@@ -4,10 +4,10 @@
 #include <tbb/parallel_sort.h>
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <map>
 
-#include "bake/light/form_factor.h"
 #include "formats/codec/bytes.h"
 #include "formats/codec/checksum.h"
 
@@ -19,8 +19,9 @@ using formats::ByteWriter;
 // A cube holds what comes so near it, in cells: rounding must not make a ray meet what stands beside the cubes that it passed through. Or so
 // many units in the last place of the largest coordinate, where that is more.
 constexpr double kMarginCells = 1.0 / 64, kMarginUnits = 8;
-constexpr int32_t kAirCubes = 1;      // around the scene
-constexpr int32_t kRoundCubes = 4;    // the box's corners are multiples: a small edit does not move them
+constexpr int32_t kAirCubes = 4;      // around the scene
+constexpr int32_t kRoundCubes = 16;   // the box's corners are multiples: a small edit does not move them
+static_assert(kRoundCubes % CubeBox::kBlock == 0);
 
 uint64_t imageDigest(const Scene& scene, uint32_t image) {
   if (image == kNone) return 0;
@@ -56,14 +57,14 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
 
   ByteWriter names, lamps;
   for (uint32_t p = 0; p < set.patches.size();) {
-    const uint64_t cube = hilbertAncestor(set.patches[p].key, kCastLog);
+    const uint64_t cube = hilbertAncestor(set.patches[p].key, kMetLog);
     const uint32_t first = p;
     names.data().clear();
-    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kCastLog) == cube; ++p) {
+    for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kMetLog) == cube; ++p) {
       names.u64(set.patches[p].name);
       names.u32(set.patches[p].orientation);
     }
-    patches_[cube] = {first, p, digestOf(names.data())};
+    patches_.push_back({cube, first, p, digestOf(names.data())});
   }
   for (uint32_t p = 0; p < set.patches.size(); ++p) {
     const Patch& patch = set.patches[p];
@@ -142,27 +143,47 @@ void Contents::addPieces() {
     const uint32_t cube = held[i].cube;
     of_cube.data().clear();
     for (; i < held.size() && held[i].cube == cube; ++i) of_cube.u64(held[i].digest);
-    cube_[cube] = digestOf(of_cube.data());
+    Block& block = blocks_[cube / 64];
+    if (block.held == 0) block.first = held_.size();
+    block.held |= uint64_t{1} << cube % 64;
+    held_.push_back(formats::hashBytes(of_cube.data()));
   }
 }
 
-Digest Contents::cube(const CubeBox::Cube& cube) const {
-  if (!box_.holds(cube)) return {};
-  const auto found = cube_.find(box_.number(cube));
-  return found == cube_.end() ? Digest{} : found->second;
+uint64_t Contents::blockDigest(const Block& block) const {
+  ByteWriter b;
+  b.u64(block.held);
+  for (size_t i = 0; i < static_cast<size_t>(std::popcount(block.held)); ++i) b.u64(held_[block.first + i]);
+  return formats::hashBytes(b.data());
 }
 
-Digest Contents::patchesIn(uint64_t cast_cube) const {
-  const auto found = patches_.find(cast_cube);
-  return found == patches_.end() ? Digest{} : found->second.digest;
+void Contents::append(const CubeBox::Cube& block, uint64_t cubes, uint64_t place, std::vector<Digest>& held) const {
+  if (!box_.holds(block)) return;
+  const auto found = blocks_.find(box_.number(block) / 64);
+  if (found == blocks_.end()) return;
+  for (uint64_t left = found->second.held & cubes; left != 0; left &= left - 1) {
+    const auto bit = static_cast<uint64_t>(std::countr_zero(left));
+    const auto before = static_cast<size_t>(std::popcount(found->second.held & ((uint64_t{1} << bit) - 1)));
+    held.push_back({place + bit, held_[found->second.first + before]});
+  }
+}
+
+const Contents::Range* Contents::find(uint64_t key) const {
+  const auto found = std::lower_bound(patches_.begin(), patches_.end(), key, [](const Range& r, uint64_t k) { return r.key < k; });
+  return found == patches_.end() || found->key != key ? nullptr : &*found;
+}
+
+Digest Contents::patchesIn(uint64_t key) const {
+  const Range* range = find(key);
+  return range ? range->digest : Digest{};
 }
 
 std::vector<std::byte> Contents::encoded() const {
   ByteWriter out;
   out.f32(box_.edge_m);
-  for (const auto& [number, digest] : std::map(cube_.begin(), cube_.end())) {
-    for (const int32_t x : box_.cube(number)) out.u32(static_cast<uint32_t>(x));
-    out.u64(digest[0]);
+  for (const auto& [number, block] : std::map(blocks_.begin(), blocks_.end())) {
+    for (const int32_t x : box_.cube(64 * number)) out.u32(static_cast<uint32_t>(x));
+    out.u64(blockDigest(block));
   }
   return std::move(out.data());
 }
@@ -172,8 +193,8 @@ std::vector<Vec3> Contents::changesSince(std::span<const std::byte> before) cons
   float edge_m = 0;
   in.f32(edge_m);
   if (edge_m != box_.edge_m) return {};
-  std::map<CubeBox::Cube, uint64_t> changed;  // digests that are in one of the two
-  for (const auto& [number, digest] : cube_) changed[box_.cube(number)] = digest[0];
+  std::map<CubeBox::Cube, uint64_t> changed;  // by the first cube of a block: digests that are in one of the two
+  for (const auto& [number, block] : blocks_) changed[box_.cube(64 * number)] = blockDigest(block);
   while (in.remaining() >= 20) {
     CubeBox::Cube cube;
     for (int32_t& x : cube) {
@@ -189,15 +210,15 @@ std::vector<Vec3> Contents::changesSince(std::span<const std::byte> before) cons
   std::vector<Vec3> middles;
   for (const auto& [cube, digest] : changed) {
     Vec3 middle;
-    for (int a = 0; a < 3; ++a) middle[a] = (static_cast<float>(cube[static_cast<size_t>(a)]) + 0.5f) * edge_m;
+    for (int a = 0; a < 3; ++a) middle[a] = (static_cast<float>(cube[static_cast<size_t>(a)]) + 0.5f * CubeBox::kBlock) * edge_m;
     middles.push_back(middle);
   }
   return middles;
 }
 
-std::pair<uint32_t, uint32_t> Contents::rangeOf(uint64_t cast_cube) const {
-  const auto found = patches_.find(cast_cube);
-  return found == patches_.end() ? std::pair(0u, 0u) : std::pair(found->second.first, found->second.end);
+std::pair<uint32_t, uint32_t> Contents::rangeOf(uint64_t key) const {
+  const Range* range = find(key);
+  return range ? std::pair(range->first, range->end) : std::pair(0u, 0u);
 }
 
 Digest Contents::surface(uint32_t first, uint32_t end) const {

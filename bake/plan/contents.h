@@ -13,8 +13,9 @@
 
 namespace ff::bake {
 
-inline constexpr int kCubeLog = 3;  // cells a side, at least; more where the box would have more than kMaxCubes
+inline constexpr int kCubeLog = 1;  // cells a side, at least; more where the box would have more than kMaxCubes
 inline constexpr double kMaxCubes = 1 << 26;
+inline constexpr int kMetLog = 2;   // cells a side of a cube whose patches are looked at together, log2
 
 class Contents {
  public:
@@ -23,25 +24,39 @@ class Contents {
 
   // Holds the scene and some air around it.
   const CubeBox& box() const { return box_; }
-  // Of a cube, in the box or not.
-  Digest cube(const CubeBox::Cube& cube) const;
-  // Of the patches whose cells lie in a cube of 2^kCastLog cells, by its Hilbert key: their names and orientations, in order. Zeros: there are none.
-  Digest patchesIn(uint64_t cast_cube) const;
+  // Appends what is held by cubes of a block, whose first cube may be in the box or not: place and digest of each that holds anything. place: of the
+  // block's first cube.
+  void append(const CubeBox::Cube& block, uint64_t cubes, uint64_t place, std::vector<Digest>& held) const;
+  // Of the patches whose cells lie in a cube of 2^kMetLog cells, by its Hilbert key: their names and orientations, in order. Zeros: there are none.
+  Digest patchesIn(uint64_t key) const;
   // Of patches [first, end): all that a ray that starts on them depends on.
   Digest surface(uint32_t first, uint32_t end) const;
   // Of all that emits: the aims of rays towards lamps depend on every lamp.
   const Digest& lamps() const { return lamps_; }
 
-  // All cubes' digests, for changesSince().
+  // All blocks' digests, for changesSince().
   std::vector<std::byte> encoded() const;
-  // Middles of cubes, m, that hold something else than they did when `before` was encoded; none where that is of other cubes.
+  // Middles of blocks, m, that hold something else than they did when `before` was encoded; none where that is of other cubes.
   std::vector<Vec3> changesSince(std::span<const std::byte> before) const;
 
-  // The first patch of a cube of 2^kCastLog cells, and one after the last; both 0 where there are none.
-  std::pair<uint32_t, uint32_t> rangeOf(uint64_t cast_cube) const;
+  // The first patch of a cube of 2^kMetLog cells, and one after the last; both 0 where there are none.
+  std::pair<uint32_t, uint32_t> rangeOf(uint64_t key) const;
 
  private:
+  struct Block {
+    uint64_t held = 0;  // cubes that hold anything, a bit each
+    size_t first = 0;   // of their digests, in held_
+  };
+
+  struct Range {
+    uint64_t key;
+    uint32_t first, end;
+    Digest digest;
+  };
+
   void addPieces();
+  const Range* find(uint64_t key) const;  // null: no patches
+  uint64_t blockDigest(const Block& block) const;
   uint64_t materialDigest(const Material& material) const;
   uint64_t triangleDigest(uint32_t t) const;
   uint64_t patchName(uint32_t patch) const;
@@ -50,12 +65,9 @@ class Contents {
   const PatchSet& set_;
   CubeBox box_;
   PagedVector<uint64_t> material_, triangle_;        // digests
-  std::unordered_map<uint32_t, Digest> cube_;        // of those that hold anything
-  struct Range {
-    uint32_t first, end;
-    Digest digest;
-  };
-  std::unordered_map<uint64_t, Range> patches_;      // by cube of 2^kCastLog cells
+  PagedVector<uint64_t> held_;                       // digests of cubes that hold anything
+  std::unordered_map<uint32_t, Block> blocks_;       // those that hold anything
+  PagedVector<Range> patches_;                       // by cube of 2^kMetLog cells, ascending
   Digest lamps_{};
 };
 

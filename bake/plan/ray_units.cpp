@@ -47,15 +47,14 @@ void putDigest(ByteWriter& out, const Digest& d) { out.u64(d[0]), out.u64(d[1]);
 struct Trail {
   CubeBox box;
   bool left = false;
-  std::vector<CubeBox::Cube> cubes;
-  std::vector<uint64_t> met;  // cubes of 2^kCastLog cells that patches lie in which were hit, by Hilbert key, ascending
+  std::vector<CubesOfBlock> passed;
+  std::vector<uint64_t> met;  // cubes of 2^kMetLog cells that patches lie in which were hit, by Hilbert key, ascending
   Digest seen{};              // of all of it
 };
 
-Digest seenNow(const Contents& contents, std::span<const CubeBox::Cube> cubes, std::span<const uint64_t> met) {
+Digest seenNow(const Contents& contents, const CubeBox& box, std::span<const CubesOfBlock> passed, std::span<const uint64_t> met) {
   std::vector<Digest> all;
-  all.reserve(cubes.size() + met.size());
-  for (const CubeBox::Cube& c : cubes) all.push_back(contents.cube(c));
+  for (const auto& [block, cubes] : passed) contents.append(box.cube(64 * block), cubes, uint64_t{64} * block, all);
   for (const uint64_t key : met) all.push_back(contents.patchesIn(key));
   return digestOf(std::as_bytes(std::span(all)));
 }
@@ -80,18 +79,17 @@ CubeBox takeBox(ByteReader& in) {
 
 Raw encodeTrail(const Contents& contents, const RayTrail& trail, std::span<const uint64_t> met) {
   ByteWriter out;
-  const std::vector<uint32_t> numbers = trail.cubes();
-  std::vector<CubeBox::Cube> cubes;
-  for (const uint32_t number : numbers) cubes.push_back(contents.box().cube(number));
-  putDigest(out, seenNow(contents, cubes, met));
+  const std::vector<CubesOfBlock> passed = trail.passed();
+  putDigest(out, seenNow(contents, contents.box(), passed, met));
   putBox(out, contents.box());
   out.u8(trail.left());
-  putVarint(out, numbers.size());
+  putVarint(out, passed.size());
   uint32_t last = 0;
-  for (const uint32_t number : numbers) {
-    putVarint(out, number - last);
-    last = number;
+  for (const CubesOfBlock& of : passed) {
+    putVarint(out, of.block - last);
+    last = of.block;
   }
+  for (const CubesOfBlock& of : passed) out.u64(of.cubes);
   putVarint(out, met.size());
   uint64_t key = 0;
   for (const uint64_t m : met) {
@@ -110,13 +108,14 @@ std::optional<Trail> decodeTrail(std::span<const std::byte> raw) {
   uint8_t left = 0;
   in.u8(left);
   trail.left = left != 0;
-  for (const int32_t x : trail.box.size) if (x < 1) return {};
-  uint64_t number = 0;
+  for (const int32_t x : trail.box.size) if (x < 1 || x % CubeBox::kBlock != 0) return {};
+  uint64_t block = 0;
   for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) {
-    number += takeVarint(in);
-    if (number >= trail.box.count()) return {};
-    trail.cubes.push_back(trail.box.cube(static_cast<uint32_t>(number)));
+    block += takeVarint(in);
+    if (block >= trail.box.blocks()) return {};
+    trail.passed.push_back({static_cast<uint32_t>(block), 0});
   }
+  for (CubesOfBlock& of : trail.passed) in.u64(of.cubes);
   uint64_t key = 0;
   for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) trail.met.push_back(key += takeVarint(in));
   return in.ok() ? std::optional(std::move(trail)) : std::nullopt;
@@ -128,7 +127,7 @@ bool isSeenStill(const Contents& contents, const Trail& trail) {
   if (trail.box.edge_m != now.edge_m) return false;
   for (size_t a = 0; trail.left && a < 3; ++a)
     if (now.lo[a] < trail.box.lo[a] || now.lo[a] + now.size[a] > trail.box.lo[a] + trail.box.size[a]) return false;
-  return seenNow(contents, trail.cubes, trail.met) == trail.seen;
+  return seenNow(contents, trail.box, trail.passed, trail.met) == trail.seen;
 }
 
 }  // namespace
@@ -151,13 +150,13 @@ RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, ui
   });
 }
 
-// Columns are patches of the whole set, ascending, so that those of one cube of 2^kCastLog cells follow each other: runs, within which patches
+// Columns are patches of the whole set, ascending, so that those of one cube of 2^kMetLog cells follow each other: runs, within which patches
 // count from the first of their cube.
 std::vector<std::byte> RayUnits::encode(const HitRows& rows, const RayTrail& trail) const {
   const size_t n = rows.rays.size();
   std::vector<uint64_t> met;
   for (const uint32_t j : rows.column) {
-    const uint64_t key = hilbertAncestor(set_.patches[j].key, kCastLog);
+    const uint64_t key = hilbertAncestor(set_.patches[j].key, kMetLog);
     if (met.empty() || met.back() != key) met.push_back(key);
   }
   std::sort(met.begin(), met.end());

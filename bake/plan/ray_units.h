@@ -34,14 +34,14 @@ class RayUnits {
   RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache);
 
   // The same as castRows(), and what the cache had. Hits of units that it had are not cast; those of others are stored. Memory: a bit a cube of
-  // Contents::box() for each thread, 16 bytes for each cube of it that holds anything, and castRows()'s.
+  // Contents::box() for each thread, 8 bytes for each cube of it that holds anything, and castRows()'s.
   // ranks: others that help, or null.
   void cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take, Ranks* ranks = nullptr);
 
   // On the other ranks: casts units that rank 0's cast() gives, into the cache, until there are no more.
   void help(const RayCaster& caster, WorkCount& done, Ranks& ranks);
 
-  // What cast() would find. changed: middles of the cubes whose contents have changed since cast() last came to its end with these settings, m.
+  // What cast() would find. changed: middles of the blocks of cubes whose contents have changed since cast() last came to its end with these settings, m.
   UnitCounts status(WorkCount& done, std::vector<Vec3>& changed);
 
  private:

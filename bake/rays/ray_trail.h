@@ -10,40 +10,47 @@
 
 namespace ff::bake {
 
-// A box of cubes, which are counted from the grid's origin.
+// A box of cubes, which are counted from the grid's origin; blocks of 4 x 4 x 4 cubes are counted from there, too, and are whole in it.
 struct CubeBox {
   using Cube = std::array<int32_t, 3>;
-  float edge_m = 1;  // of a cube
-  Cube lo{}, size{};
+  static constexpr int32_t kBlock = 4;  // cubes a side: a bit each in 64
+  float edge_m = 1;                     // of a cube
+  Cube lo{}, size{};                    // multiples of kBlock
   size_t count() const { return static_cast<size_t>(size[0]) * static_cast<size_t>(size[1]) * static_cast<size_t>(size[2]); }
+  size_t blocks() const { return count() / 64; }
   bool holds(const Cube& cube) const;
-  uint32_t number(const Cube& cube) const;  // of one that it holds: 0 to count() - 1
+  uint32_t number(const Cube& cube) const;  // of one that it holds, 0 to count() - 1: 64 times its block's and its bit there
   Cube cube(uint32_t number) const;
   friend bool operator==(const CubeBox&, const CubeBox&) = default;
+};
+
+// Some cubes of a block.
+struct CubesOfBlock {
+  uint32_t block = 0;  // number of its first cube / 64
+  uint64_t cubes = 0;  // a bit each
+  friend bool operator==(const CubesOfBlock&, const CubesOfBlock&) = default;
 };
 
 // Not thread-safe. Memory: a bit a cube of the box.
 class RayTrail {
  public:
-  // At most 2^32 - 1 cubes.
+  // At most 2^32 - 1 cubes, with a block around them.
   explicit RayTrail(const CubeBox& box);
   // A ray that went so far; infinite: out of the box. Marches from cube to cube: John Amanatides, Andrew Woo. A fast voxel traversal algorithm
   // for ray tracing. Eurographics 1987.
   void add(const Ray& ray, double to_m);
   void clear();
-  // Numbers of the cubes passed through since, ascending.
-  std::vector<uint32_t> cubes() const;
+  // The cubes passed through since, by block, ascending.
+  std::vector<CubesOfBlock> passed() const;
   // Whether a ray was outside the box.
   bool left() const { return left_; }
 
  private:
-  void pass(size_t place);
-
-  CubeBox box_;
-  double per_m_;                  // cubes
-  std::array<size_t, 3> stride_;  // of places: the box with a cube more on each side, for rays that rounding takes there
-  std::vector<uint64_t> passed_;  // a bit a place
-  std::vector<size_t> places_;    // those set
+  CubeBox box_, wide_;                            // the box, and a block more on each side, for rays that rounding takes there
+  double per_m_;                                  // cubes
+  std::array<std::vector<uint32_t>, 3> place_;    // what a coordinate in the wide box adds to the number of a cube
+  std::vector<uint64_t> passed_;                  // by block of the wide box
+  std::vector<uint32_t> blocks_;                  // those that are not 0
   bool left_ = false;
 };
 

@@ -38,9 +38,16 @@ Vec3 randomDirection(std::mt19937& random) {
   return normalized(d);
 }
 
+std::vector<uint32_t> cubesOf(const RayTrail& trail) {
+  std::vector<uint32_t> numbers;
+  for (const auto& [block, cubes] : trail.passed())
+    for (uint32_t bit = 0; bit < 64; ++bit) if (cubes >> bit & 1) numbers.push_back(64 * block + bit);
+  return numbers;
+}
+
 TEST(RayTrail, HoldsTheCubesOnTheWayAndNoOthers) {
   std::mt19937 random(1);
-  const CubeBox box{0.75f, {-3, 2, -7}, {9, 6, 11}};
+  const CubeBox box{0.75f, {-4, 4, -8}, {8, 8, 12}};
   RayTrail trail(box);
   for (int round = 0; round < 2000; ++round) {
     std::uniform_real_distribution<float> part(-0.3f, 1.3f);
@@ -54,9 +61,9 @@ TEST(RayTrail, HoldsTheCubesOnTheWayAndNoOthers) {
     const double to_m = random() % 3 == 0 ? static_cast<double>(kInfinity) : 8.0 * static_cast<double>(random() % 1000) / 1000;
     trail.clear();
     trail.add(ray, to_m);
-    const std::vector<uint32_t> cubes = trail.cubes();
+    const std::vector<uint32_t> cubes = cubesOf(trail);
     const std::set<uint32_t> passed(cubes.begin(), cubes.end());
-    EXPECT_EQ(passed.size(), cubes.size());
+    EXPECT_TRUE(std::is_sorted(cubes.begin(), cubes.end()));
     bool outside = false;
     for (int a = 0; a < 3; ++a)
       for (const double t : {0.0, std::min(to_m, 1e4)}) {
@@ -81,12 +88,12 @@ TEST(RayTrail, ForgetsWhatIsClearedAndGathersWhatIsNot) {
   const Ray along_x{{0.5f, 0.5f, 0.5f}, {1, 0, 0}}, along_y{{0.5f, 0.5f, 0.5f}, {0, 1, 0}};
   trail.add(along_x, 1);
   trail.add(along_y, 1);
-  EXPECT_EQ(trail.cubes(), (std::vector<uint32_t>{0, 1, 4}));
+  EXPECT_EQ(cubesOf(trail), (std::vector<uint32_t>{0, 1, 4}));
   EXPECT_FALSE(trail.left());
   trail.clear();
-  EXPECT_TRUE(trail.cubes().empty());
+  EXPECT_TRUE(cubesOf(trail).empty());
   trail.add(along_x, static_cast<double>(kInfinity));
-  EXPECT_EQ(trail.cubes().size(), 4u);
+  EXPECT_EQ(cubesOf(trail).size(), 4u);
   EXPECT_TRUE(trail.left());
 }
 

@@ -112,7 +112,7 @@ TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
     if (round % 3 == 0) scene = std::move(edited);  // or back again
   }
   std::cout << clean << " units of " << units << " were clean\n";
-  EXPECT_GT(clean, units / 20);
+  EXPECT_GT(clean, units / 8);
   EXPECT_LT(clean, units);
 }
 
