@@ -314,7 +314,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
     const TakeRows take = [&](uint32_t first, HitRows rows) { hits.put(first, rows); };
-    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.ray_units, take, settings.ranks);
+    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.cached, take, settings.ranks);
     else castRows(scene, set, caster, budget, settings.seed, report.count, take);
   }
   const PagedVector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
@@ -342,7 +342,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   }
   stats.mean_rays = static_cast<uint32_t>(stats.rays / n);
   stats.row_error = 2 * static_cast<float>(std::sqrt(square_error / static_cast<double>(n)));
-  stats.cast_rays = stats.rays - stats.ray_units.clean_rays;
+  stats.cast_rays = stats.rays - stats.cached.clean_rays;
   stats.area_m2 = set.area_m2 - stats.buried_fraction;
   stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);
   stats.sky_fraction /= stats.area_m2;
@@ -495,7 +495,7 @@ Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, cons
   BakeStatus status;
   status.cell_m = set.cell_m;
   status.patches = set.patches.size();
-  status.ray_units = RayUnits((*surface)->scene, set, budgetOf(settings), settings.seed, *settings.cache).status(report.count, status.changed);
+  status.cached = RayUnits((*surface)->scene, set, budgetOf(settings), settings.seed, *settings.cache).status(report.count, status.changed);
   return status;
 }
 

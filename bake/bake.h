@@ -75,7 +75,7 @@ struct BakeStats {
   std::vector<Finding> findings;      // what is odd about the scene, none about a clean one; last, what is not modelled of it
   std::vector<std::string> warnings;  // of files: the cache, the world; a line each
   uint64_t clamped_nodes = 0;  // nodes whose albedo was lowered: see kMaxReflected
-  UnitCounts ray_units;  // of the cache
+  CachedRays cached;           // what the cache had; nothing without one
   uint64_t spilled_bytes = 0;  // written to files for want of memory
   double ray_seconds = 0, seconds = 0;  // casting alone; the whole bake after import
 };
@@ -96,7 +96,7 @@ Result<void> helpBake(const Scene& whole, const BakeSettings& settings);
 struct BakeStatus {
   float cell_m = 0;
   uint64_t patches = 0;
-  UnitCounts ray_units;
+  CachedRays cached;
   std::vector<Vec3> changed;  // RayUnits::status()
 };
 // Makes the patches, and casts nothing. Errors as of bakeWorld().

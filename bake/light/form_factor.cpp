@@ -17,35 +17,35 @@
 namespace ff::bake {
 namespace {
 
-constexpr uint32_t kMaxTogether = 128;  // patches whose rays guide each other's to the sky
-constexpr int kTogetherLog = 2;          // the cube of cells that they lie in
-constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for the last ones together
-static_assert(kTogetherLog <= kCastLog);
-constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches together whose errors tell how many rays they need: so many, or one of so many
+constexpr uint32_t kMaxGroup = 128;      // patches of a group
+constexpr int kGroupLog = 2;             // the cube of cells that they lie in
+constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for the last group
+static_assert(kGroupLog <= kCastLog);
+constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches of a group whose errors tell how many rays it needs: so many, or one of so many
 constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
 
 Ray cosineRay(const SurfacePoint& from) { return {from.position, cosineDirection(frameOf(from.normal), from.u, from.v)}; }
 
-// Patches together, in a range that begins with the first ones of a cube: those of a cube of cells, whatever lies elsewhere. First ones, then the end.
-std::vector<uint32_t> startsOfGroups(const PatchSet& set, uint32_t first, uint32_t end) {
+}  // namespace
+
+// Those of a cube of cells, whatever lies elsewhere: a range begins with the first ones of a cube.
+std::vector<uint32_t> castGroups(const PatchSet& set, uint32_t first, uint32_t end) {
   std::vector<uint32_t> start;
   for (uint32_t i = first; i < end; ++i)
-    if (i == first || i - start.back() == kMaxTogether ||
-        hilbertAncestor(set.patches[i].key, kTogetherLog) != hilbertAncestor(set.patches[i - 1].key, kTogetherLog))
+    if (i == first || i - start.back() == kMaxGroup ||
+        hilbertAncestor(set.patches[i].key, kGroupLog) != hilbertAncestor(set.patches[i - 1].key, kGroupLog))
       start.push_back(i);
   start.push_back(end);
   return start;
 }
 
-}  // namespace
-
 std::vector<uint32_t> castRanges(const PatchSet& set) {
-  const std::vector<uint32_t> together = startsOfGroups(set, 0, static_cast<uint32_t>(set.patches.size()));
+  const std::vector<uint32_t> groups = castGroups(set, 0, static_cast<uint32_t>(set.patches.size()));
   const auto cubeOf = [&](uint32_t patch) { return hilbertAncestor(set.patches[patch].key, kCastLog); };
   std::vector<uint32_t> start;
-  for (size_t g = 0; g + 1 < together.size(); ++g)
-    if (g == 0 || together[g + 1] - start.back() > kMaxCast || cubeOf(together[g]) != cubeOf(start.back())) start.push_back(together[g]);
-  start.push_back(together.back());
+  for (size_t g = 0; g + 1 < groups.size(); ++g)
+    if (g == 0 || groups[g + 1] - start.back() > kMaxCast || cubeOf(groups[g]) != cubeOf(start.back())) start.push_back(groups[g]);
+  start.push_back(groups.back());
   return start;
 }
 
@@ -59,7 +59,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
-        : count(s.set.patches.size()), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxTogether), caster(s.caster),
+        : count(s.set.patches.size()), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
           lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light), leaks(s.set.cell_m) {}
 
     // The first so many points' rays and hits.
@@ -73,12 +73,12 @@ struct RowCaster::State {
     std::vector<SurfacePoint> points;
     std::vector<Ray> rays;           // from them
     std::vector<Hit> hits;           // of them
-    std::vector<SkyRays> sky;        // of patches together
-    RayCaster caster;                // leaves the trail of the range
+    std::vector<SkyRays> sky;        // of the group
+    RayCaster caster;                // leaves the trail of the group
     LampLight lamps;
     SightMap sight;
     RowError error;
-    LeakSums leaks;                  // of the range
+    LeakSums leaks;                  // of the group
   };
 
   const Scene& scene;
@@ -91,9 +91,9 @@ struct RowCaster::State {
   const MadeUpLight light;
   tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
 
-  // Of patches together.
+  // Of a group.
   uint32_t raysFor(uint32_t first, uint32_t end, Scratch& s) const;
-  void castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const;
+  HitRows cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const;
 };
 
 RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed)
@@ -104,23 +104,7 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   std::unique_ptr<State::Scratch>& scratch = state_->scratch.local();
   if (!scratch) scratch = std::make_unique<State::Scratch>(*state_);
   scratch->caster = state_->caster.leaving(trail);
-  const size_t n = end - first;
-  HitRows rows;
-  rows.rays.assign(n, 0);
-  rows.square_error.assign(n, 0);
-  rows.start.assign(n + 1, 0);
-  rows.sky.assign(n, 0);
-  rows.absorbed.assign(n, 0);
-  rows.buried.assign(n, 0);
-  rows.sky_fraction.assign(n, 0);
-  rows.sky_means.assign(n, {});
-  rows.lamps.assign(n, {});
-  rows.narrow.assign(n, 0);
-  const std::vector<uint32_t> start = startsOfGroups(state_->set, first, end);
-  scratch->leaks.clear();
-  for (size_t g = 0; g + 1 < start.size(); ++g) state_->castTogether(start[g], start[g + 1], first, *scratch, rows, done);
-  rows.leaks = scratch->leaks.heaviest(kMaxLeaks);
-  return rows;
+  return state_->cast(first, end, *scratch, done);
 }
 
 // From the errors of a few of them with few rays.
@@ -148,16 +132,28 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
   return std::min(rays, budget.rays);
 }
 
-void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range_first, Scratch& s, HitRows& rows, WorkCount& done) const {
+HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const {
   const uint32_t rays = raysFor(first, end, s);
+  const size_t n = end - first;
+  HitRows rows;
+  rows.rays.assign(n, rays);
+  rows.square_error.assign(n, 0);
+  rows.start.assign(n + 1, 0);
+  rows.sky.assign(n, 0);
+  rows.absorbed.assign(n, 0);
+  rows.buried.assign(n, 0);
+  rows.sky_fraction.assign(n, 0);
+  rows.sky_means.assign(n, {});
+  rows.lamps.assign(n, {});
+  rows.narrow.assign(n, 0);
+  s.leaks.clear();
   const std::span<SurfacePoint> points = std::span(s.points).first(rays);
   for (uint32_t patch = first; patch < end; ++patch) {
-    const size_t i = patch - range_first;
-    rows.rays[i] = rays;
+    const size_t i = patch - first;
     surfacePoints(scene, set, patch, sobol, seed, caster, points);
     if (!lamps.empty()) s.lamps.aim(patch, rays);
     s.error.clear();
-    SkyRays& sky = s.sky[patch - first];
+    SkyRays& sky = s.sky[i];
     sky.look.clear();
     sky.main.clear();
     s.sight.clear();
@@ -206,11 +202,21 @@ void RowCaster::State::castTogether(uint32_t first, uint32_t end, uint32_t range
     s.touched.clear();
     done.add();
   }
-  const auto sky = skyOf(scene, set, s.caster, sobol, seed, first, std::span(s.sky).first(end - first), rays);
-  for (uint32_t patch = first; patch < end; ++patch) {
-    rows.sky_fraction[patch - range_first] = static_cast<float>(sky[patch - first].weight());
-    rows.sky_means[patch - range_first] = sky[patch - first].means();
+  const auto sky = skyOf(scene, set, s.caster, sobol, seed, first, std::span(s.sky).first(n), rays);
+  for (size_t i = 0; i < n; ++i) {
+    rows.sky_fraction[i] = static_cast<float>(sky[i].weight());
+    rows.sky_means[i] = sky[i].means();
   }
+  rows.leaks = s.leaks.heaviest(kMaxLeaks);
+  return rows;
+}
+
+HitRows rowsOfRange(std::vector<HitRows> groups, float cell_m) {
+  HitRows rows = joined(std::move(groups));
+  LeakSums leaks(cell_m);
+  for (const Leak& leak : rows.leaks) leaks.add(leak);
+  rows.leaks = leaks.heaviest(kMaxLeaks);
+  return rows;
 }
 
 void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done, const TakeRows& take) {
@@ -218,7 +224,12 @@ void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, 
   const RowCaster rows(scene, set, caster, budget, seed);
   std::atomic<size_t> next{0};
   onAllThreads([&] {  // in order: all are in one neighbourhood, of which memory holds what they need
-    for (size_t r = next++; r + 1 < start.size(); r = next++) take(start[r], rows.cast(start[r], start[r + 1], nullptr, done));
+    for (size_t r = next++; r + 1 < start.size(); r = next++) {
+      const std::vector<uint32_t> group = castGroups(set, start[r], start[r + 1]);
+      std::vector<HitRows> groups;
+      for (size_t g = 0; g + 1 < group.size(); ++g) groups.push_back(rows.cast(group[g], group[g + 1], nullptr, done));
+      take(start[r], rowsOfRange(std::move(groups), set.cell_m));
+    }
   });
 }
 

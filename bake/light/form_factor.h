@@ -41,18 +41,21 @@ struct RayBudget {
 void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                const RayCaster& caster, std::span<Ray> rays);
 
-// Patches that are cast by one task, as ranges of the set's: first ones ascending, then the number of patches. Which ones are together
+// Patches that are cast by one task, as ranges of the set's: first ones ascending, then the number of patches. Which ones are in a range
 // depends on those of their cube of 2^kCastLog cells alone.
 inline constexpr int kCastLog = 4;
 std::vector<uint32_t> castRanges(const PatchSet& set);
 
-// Casts the rows of ranges of patches; rays towards lamps and, where it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
+// A range's patches by groups, whose rays guide each other's and are all that each other's depend on: first ones ascending, then `end`.
+std::vector<uint32_t> castGroups(const PatchSet& set, uint32_t first, uint32_t end);
+
+// Casts the rows of groups of patches; rays towards lamps and, where it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
 class RowCaster {
  public:
   // All outlive it.
   RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed);
   ~RowCaster();
-  // The rows of one of castRanges(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, 2 bytes a patch of the
+  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, 2 bytes a patch of the
   // set. trail: where the rays go is added to it; may be null. done: counts patches.
   HitRows cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const;
 
@@ -60,6 +63,9 @@ class RowCaster {
   struct State;
   std::unique_ptr<State> state_;
 };
+
+// The rows of a range's groups as those of the range, which keeps the heaviest of their leaks.
+HitRows rowsOfRange(std::vector<HitRows> groups, float cell_m);
 
 // Takes the rows of the range that begins with patch `first`, as soon as they are cast: from many threads, ranges in any order.
 using TakeRows = std::function<void(uint32_t first, HitRows rows)>;

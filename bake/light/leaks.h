@@ -17,7 +17,7 @@ struct Leak {
   float m2 = 0;  // of the patches that cast them, each by the share of its rays
 };
 inline constexpr int kLeakLog = 3;
-inline constexpr size_t kMaxLeaks = 4;  // that are kept of patches that are cast by one task
+inline constexpr size_t kMaxLeaks = 4;  // that are kept of a group of patches, or of a range (form_factor.h)
 
 class LeakSums {
  public:

@@ -1,5 +1,6 @@
 #include "bake/plan/ray_units.h"
 
+#include <tbb/combinable.h>
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
@@ -14,6 +15,7 @@
 #include "bake/all_threads.h"
 #include "bake/bake_code.h"
 #include "bake/packing.h"
+#include "bake/plan/kept_trail.h"
 #include "formats/codec/bytes.h"
 
 namespace ff::bake {
@@ -41,96 +43,22 @@ std::optional<Raw> takePart(ByteReader& in, std::span<const std::byte> record) {
   return in.ok() ? unpacked(record.subspan(at, frame), size) : std::nullopt;
 }
 
-void putDigest(ByteWriter& out, const Digest& d) { out.u64(d[0]), out.u64(d[1]); }
+}  // namespace
 
-// Where a unit's rays went, and what it was that they met. Cubes are by number in a box, which may not be today's.
-struct Trail {
-  CubeBox box;
-  bool left = false;
-  std::vector<CubesOfBlock> passed;
-  std::vector<uint64_t> met;  // cubes of 2^kMetLog cells that patches lie in which were hit, by Hilbert key, ascending
-  Digest seen{};              // of all of it
+struct RayUnits::Group {
+  KeptTrail trail;
+  bool clean = false;
+  HitRows rows;  // of a clean one
 };
 
-Digest seenNow(const Contents& contents, const CubeBox& box, std::span<const CubesOfBlock> passed, std::span<const uint64_t> met) {
-  std::vector<Digest> all;
-  for (const auto& [block, cubes] : passed) contents.append(box.cube(64 * block), cubes, uint64_t{64} * block, all);
-  for (const uint64_t key : met) all.push_back(contents.patchesIn(key));
-  return digestOf(std::as_bytes(std::span(all)));
+CachedRays& CachedRays::operator+=(const CachedRays& more) {
+  clean += more.clean;
+  stale += more.stale;
+  missing += more.missing;
+  clean_rays += more.clean_rays;
+  by_others += more.by_others;
+  return *this;
 }
-
-void putBox(ByteWriter& out, const CubeBox& box) {
-  out.f32(box.edge_m);
-  for (const auto* corner : {&box.lo, &box.size})
-    for (const int32_t x : *corner) out.u32(static_cast<uint32_t>(x));
-}
-
-CubeBox takeBox(ByteReader& in) {
-  CubeBox box;
-  in.f32(box.edge_m);
-  for (auto* corner : {&box.lo, &box.size})
-    for (int32_t& x : *corner) {
-      uint32_t value = 0;
-      in.u32(value);
-      x = static_cast<int32_t>(value);
-    }
-  return box;
-}
-
-Raw encodeTrail(const Contents& contents, const RayTrail& trail, std::span<const uint64_t> met) {
-  ByteWriter out;
-  const std::vector<CubesOfBlock> passed = trail.passed();
-  putDigest(out, seenNow(contents, contents.box(), passed, met));
-  putBox(out, contents.box());
-  out.u8(trail.left());
-  putVarint(out, passed.size());
-  uint32_t last = 0;
-  for (const CubesOfBlock& of : passed) {
-    putVarint(out, of.block - last);
-    last = of.block;
-  }
-  for (const CubesOfBlock& of : passed) out.u64(of.cubes);
-  putVarint(out, met.size());
-  uint64_t key = 0;
-  for (const uint64_t m : met) {
-    putVarint(out, m - key);
-    key = m;
-  }
-  return std::move(out.data());
-}
-
-std::optional<Trail> decodeTrail(std::span<const std::byte> raw) {
-  ByteReader in(raw);
-  Trail trail;
-  in.u64(trail.seen[0]);
-  in.u64(trail.seen[1]);
-  trail.box = takeBox(in);
-  uint8_t left = 0;
-  in.u8(left);
-  trail.left = left != 0;
-  for (const int32_t x : trail.box.size) if (x < 1 || x % CubeBox::kBlock != 0) return {};
-  uint64_t block = 0;
-  for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) {
-    block += takeVarint(in);
-    if (block >= trail.box.blocks()) return {};
-    trail.passed.push_back({static_cast<uint32_t>(block), 0});
-  }
-  for (CubesOfBlock& of : trail.passed) in.u64(of.cubes);
-  uint64_t key = 0;
-  for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) trail.met.push_back(key += takeVarint(in));
-  return in.ok() ? std::optional(std::move(trail)) : std::nullopt;
-}
-
-// Whether nothing has changed where rays went. What stands outside of the box now was not there when they left it.
-bool isSeenStill(const Contents& contents, const Trail& trail) {
-  const CubeBox& now = contents.box();
-  if (trail.box.edge_m != now.edge_m) return false;
-  for (size_t a = 0; trail.left && a < 3; ++a)
-    if (now.lo[a] < trail.box.lo[a] || now.lo[a] + now.size[a] > trail.box.lo[a] + trail.box.size[a]) return false;
-  return seenNow(contents, trail.box, trail.passed, trail.met) == trail.seen;
-}
-
-}  // namespace
 
 RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache)
     : scene_(scene), set_(set), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)), keys_(units()) {
@@ -145,110 +73,138 @@ RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, ui
   settings_ = digestOf(b.data());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
     ByteWriter key;
-    for (const Digest& d : {settings_, contents_.lamps(), contents_.surface(start_[u], start_[u + 1])}) putDigest(key, d);
+    for (const Digest& d : {settings_, contents_.lamps(), contents_.surface(start_[u], start_[u + 1])}) key.u64(d[0]), key.u64(d[1]);
     keys_[u] = digestOf(key.data());
   });
 }
 
-// Columns are patches of the whole set, ascending, so that those of one cube of 2^kMetLog cells follow each other: runs, within which patches
-// count from the first of their cube.
-std::vector<std::byte> RayUnits::encode(const HitRows& rows, const RayTrail& trail) const {
-  const size_t n = rows.rays.size();
-  std::vector<uint64_t> met;
-  for (const uint32_t j : rows.column) {
-    const uint64_t key = hilbertAncestor(set_.patches[j].key, kMetLog);
-    if (met.empty() || met.back() != key) met.push_back(key);
-  }
-  std::sort(met.begin(), met.end());
-  met.erase(std::unique(met.begin(), met.end()), met.end());
-  std::vector<std::pair<uint32_t, uint32_t>> ranges;
-  for (const uint64_t key : met) ranges.push_back(contents_.rangeOf(key));
+namespace {
 
-  ByteWriter raw, runs, index, counts;
-  putSeen(raw, rows);
-  for (size_t i = 0; i < n; ++i) {
-    putVarint(runs, rows.start[i + 1] - rows.start[i]);
+// The parts of a unit's file, group after group. Columns are patches of the whole set, ascending, so that those of one cube of 2^kMetLog cells
+// follow each other: runs, within which patches count from the first of their cube.
+constexpr size_t kParts = 5;
+enum Part { kTrails, kSeen, kRuns, kIndex, kHits };
+
+using Ranges = std::vector<std::pair<uint32_t, uint32_t>>;
+Ranges rangesOf(const Contents& contents, std::span<const uint64_t> met) {
+  Ranges ranges;
+  for (const uint64_t key : met) ranges.push_back(contents.rangeOf(key));
+  return ranges;
+}
+
+void putRows(std::array<ByteWriter, kParts>& out, const HitRows& rows, const Ranges& ranges) {
+  putSeen(out[kSeen], rows);
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    putVarint(out[kRuns], rows.start[i + 1] - rows.start[i]);
     size_t range = 0, last_range = 0;
     for (uint64_t k = rows.start[i]; k < rows.start[i + 1];) {
       while (rows.column[k] >= ranges[range].second) ++range;
       uint64_t end = k;
       while (end < rows.start[i + 1] && rows.column[end] < ranges[range].second) ++end;
-      putVarint(runs, range - last_range);
-      putVarint(runs, end - k);
+      putVarint(out[kRuns], range - last_range);
+      putVarint(out[kRuns], end - k);
       last_range = range;
       for (uint32_t last = ranges[range].first; k < end; ++k) {
-        putVarint(index, rows.column[k] - last);
+        putVarint(out[kIndex], rows.column[k] - last);
         last = rows.column[k];
-        putVarint(counts, rows.count[k]);
+        putVarint(out[kHits], rows.count[k]);
       }
     }
   }
-  ByteWriter record;
-  putPart(record, encodeTrail(contents_, trail, met));
-  for (ByteWriter* part : {&raw, &runs, &index, &counts}) putPart(record, part->data());
-  return std::move(record.data());
 }
 
-namespace {
+// A unit's file, read.
+struct UnitFile {
+  std::array<Raw, kParts> raw;
+  std::vector<ByteReader> in;  // of the parts
+  bool ok() const { return std::all_of(in.begin(), in.end(), [](const ByteReader& r) { return r.ok(); }); }
+};
 
-// Rows of `patches` patches; nothing where the record is not what encode() writes.
-std::optional<HitRows> decodeRows(ByteReader& record, std::span<const std::byte> bytes, const Contents& contents, const Trail& trail, size_t patches) {
-  std::array<Raw, 4> parts;
-  for (Raw& part : parts) {
-    auto taken = takePart(record, bytes);
-    if (!taken) return {};
-    part = std::move(*taken);
-  }
-  ByteReader raw(parts[0]), runs(parts[1]), index(parts[2]), counts(parts[3]);
-  HitRows rows;
-  if (!takeSeen(raw, parts[0], rows) || rows.patches() != patches) return {};
-  std::vector<std::pair<uint32_t, uint32_t>> ranges;
-  for (const uint64_t key : trail.met) ranges.push_back(contents.rangeOf(key));
+// What putRows() wrote. ranges: null where patches may have changed since: what comes out is of no use then. False where it is not what putRows()
+// writes.
+bool takeRows(UnitFile& file, const Ranges* ranges, HitRows& rows) {
+  if (!takeSeen(file.in[kSeen], file.raw[kSeen], rows)) return false;
   rows.start.push_back(0);
-  for (size_t i = 0; i < patches; ++i) {
-    const uint64_t entries = takeVarint(runs);
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    const uint64_t entries = takeVarint(file.in[kRuns]);
     for (uint64_t k = 0, range = 0; k < entries;) {
-      range += takeVarint(runs);
-      const uint64_t in_run = takeVarint(runs);
-      if (range >= ranges.size() || in_run == 0 || in_run > entries - k) return {};
-      uint64_t column = ranges[range].first;
+      range += takeVarint(file.in[kRuns]);
+      const uint64_t in_run = takeVarint(file.in[kRuns]);
+      if (in_run == 0 || in_run > entries - k || (ranges && range >= ranges->size())) return false;
+      const auto [first, end] = ranges ? (*ranges)[range] : std::pair(0u, kNone);
+      uint64_t column = first;
       for (uint64_t e = 0; e < in_run; ++e, ++k) {
-        column += takeVarint(index);
-        if (column >= ranges[range].second) return {};
+        column += takeVarint(file.in[kIndex]);
+        if (column >= end || !file.in[kIndex].ok()) return false;
         rows.column.push_back(static_cast<uint32_t>(column));
-        rows.count.push_back(static_cast<uint16_t>(takeVarint(counts)));
+        rows.count.push_back(static_cast<uint16_t>(takeVarint(file.in[kHits])));
       }
     }
     rows.start.push_back(rows.column.size());
   }
-  if (!(raw.ok() && runs.ok() && index.ok() && counts.ok())) return {};
-  return rows;
+  return file.ok();
 }
 
-UnitCounts countsOf(std::span<const UnitState> states) {
-  UnitCounts counts;
-  for (const UnitState s : states) ++(s == UnitState::kClean ? counts.clean : s == UnitState::kStale ? counts.stale : counts.missing);
-  return counts;
+bool isClean(std::span<const RayUnits::Group> groups) {
+  return !groups.empty() && std::all_of(groups.begin(), groups.end(), [](const RayUnits::Group& g) { return g.clean; });
+}
+
+HitRows rowsOf(std::vector<RayUnits::Group> groups, float cell_m) {
+  std::vector<HitRows> rows;
+  for (RayUnits::Group& g : groups) rows.push_back(std::move(g.rows));
+  return rowsOfRange(std::move(rows), cell_m);
 }
 
 }  // namespace
 
-UnitState RayUnits::load(size_t unit, HitRows* rows) const {
+std::vector<RayUnits::Group> RayUnits::load(size_t unit, bool with_rows) const {
   const auto bytes = cache_.load(kRays, keys_[unit]);
-  if (!bytes) return UnitState::kMissing;
+  if (!bytes) return {};
   ByteReader record(*bytes);
-  const auto raw = takePart(record, *bytes);
-  const auto trail = raw ? decodeTrail(*raw) : std::nullopt;
-  if (!trail) return UnitState::kMissing;
-  if (!isSeenStill(contents_, *trail)) return UnitState::kStale;
-  if (!rows) return UnitState::kClean;
-  auto decoded = decodeRows(record, *bytes, contents_, *trail, start_[unit + 1] - start_[unit]);
-  if (!decoded) return UnitState::kMissing;
-  *rows = std::move(*decoded);
-  return UnitState::kClean;
+  UnitFile file;
+  for (size_t part = 0; part < (with_rows ? kParts : kTrails + 1); ++part) {
+    auto taken = takePart(record, *bytes);
+    if (!taken) return {};
+    file.raw[part] = std::move(*taken);
+    file.in.emplace_back(file.raw[part]);
+  }
+  const std::vector<uint32_t> start = castGroups(set_, start_[unit], start_[unit + 1]);
+  std::vector<KeptTrail> trails = takeTrails(file.in[kTrails], start.size() - 1);
+  std::vector<Group> groups(trails.size());
+  for (size_t g = 0; g < groups.size(); ++g) {
+    groups[g].trail = std::move(trails[g]);
+    groups[g].clean = isAsItWas(groups[g].trail, contents_);
+    if (!with_rows) continue;
+    const Ranges ranges = rangesOf(contents_, groups[g].trail.met);
+    if (!takeRows(file, groups[g].clean ? &ranges : nullptr, groups[g].rows) || groups[g].rows.patches() != start[g + 1] - start[g]) return {};
+    if (!groups[g].clean) groups[g].rows = {};
+  }
+  return groups;
 }
 
-// Casts units and keeps their hits in the cache.
+void RayUnits::store(size_t unit, std::span<const Group> groups) const {
+  std::array<ByteWriter, kParts> parts;
+  std::vector<const KeptTrail*> trails;
+  for (const Group& group : groups) {
+    trails.push_back(&group.trail);
+    putRows(parts, group.rows, rangesOf(contents_, group.trail.met));
+  }
+  putTrails(parts[kTrails], trails);
+  ByteWriter record;
+  for (ByteWriter& part : parts) putPart(record, part.data());
+  cache_.store(kRays, keys_[unit], record.data());
+}
+
+void RayUnits::count(size_t unit, std::span<const Group> groups, CachedRays& found) const {
+  if (groups.empty()) found.missing += start_[unit + 1] - start_[unit];
+  const std::vector<uint32_t> start = castGroups(set_, start_[unit], start_[unit + 1]);
+  for (size_t g = 0; g < groups.size(); ++g) {
+    (groups[g].clean ? found.clean : found.stale) += start[g + 1] - start[g];
+    found.clean_rays = std::accumulate(groups[g].rows.rays.begin(), groups[g].rows.rays.end(), found.clean_rays);
+  }
+}
+
+// Casts what is not clean of units, and keeps it in the cache.
 class RayUnits::Casting {
  public:
   Casting(const RayUnits& units, const RayCaster& caster)
@@ -256,10 +212,20 @@ class RayUnits::Casting {
 
   HitRows cast(size_t unit, WorkCount& done) {
     RayTrail& trail = trails_.local();
-    trail.clear();
-    HitRows rows = caster_.cast(units_.start_[unit], units_.start_[unit + 1], &trail, done);
-    units_.cache_.store(kRays, units_.keys_[unit], units_.encode(rows, trail));
-    return rows;
+    const std::vector<uint32_t> start = castGroups(units_.set_, units_.start_[unit], units_.start_[unit + 1]);
+    std::vector<Group> groups = units_.load(unit, true);
+    groups.resize(start.size() - 1);
+    for (size_t g = 0; g < groups.size(); ++g) {
+      if (groups[g].clean) {
+        done.add(start[g + 1] - start[g]);
+        continue;
+      }
+      trail.clear();
+      groups[g].rows = caster_.cast(start[g], start[g + 1], &trail, done);
+      groups[g].trail = keptTrail(trail, groups[g].rows, units_.set_, units_.contents_);
+    }
+    units_.store(unit, groups);
+    return rowsOf(std::move(groups), units_.set_.cell_m);
   }
 
  private:
@@ -311,23 +277,22 @@ class Handout {
 
 }  // namespace
 
-void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts, const TakeRows& take, Ranks* ranks) {
-  std::vector<UnitState> states(units());
-  std::atomic<uint64_t> clean_rays{0};
+void RayUnits::cast(const RayCaster& caster, WorkCount& done, CachedRays& found, const TakeRows& take, Ranks* ranks) {
+  tbb::combinable<CachedRays> counts;
+  std::vector<uint8_t> clean(units());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
-    HitRows rows;
-    states[u] = load(u, &rows);
-    if (states[u] != UnitState::kClean) return;
-    clean_rays += std::accumulate(rows.rays.begin(), rows.rays.end(), uint64_t{0});
-    take(start_[u], std::move(rows));
+    std::vector<Group> groups = load(u, true);
+    count(u, groups, counts.local());
+    if (!isClean(groups)) return;
+    clean[u] = true;
+    take(start_[u], rowsOf(std::move(groups), set_.cell_m));
     done.add(start_[u + 1] - start_[u]);
   });
-  counts = countsOf(states);
-  counts.clean_rays = clean_rays;
-  std::vector<uint32_t> missing;
+  counts.combine_each([&](const CachedRays& of) { found += of; });
+  std::vector<uint32_t> rest;
   for (uint32_t u = 0; u < units(); ++u)
-    if (states[u] != UnitState::kClean) missing.push_back(u);
-  Handout handout(std::move(missing));
+    if (!clean[u]) rest.push_back(u);
+  Handout handout(std::move(rest));
   if (ranks) ranks->serve([&] { return handout.others(); }, [&](uint32_t unit) { handout.isDone(unit); });
   const auto ended = [](Ranks* r) { if (r) r->endUnits(); };
   const std::unique_ptr<Ranks, decltype(ended)> end(ranks, ended);  // before the handout goes
@@ -335,17 +300,19 @@ void RayUnits::cast(const RayCaster& caster, WorkCount& done, UnitCounts& counts
   std::atomic<uint64_t> by_others{0};
   onAllThreads([&] {
     for (Handout::Work work = handout.own(); work.unit != kNoUnit; work = handout.own()) {
-      HitRows rows;
-      if (work.in_cache && load(work.unit, &rows) == UnitState::kClean) {
-        ++by_others;
-        done.add(start_[work.unit + 1] - start_[work.unit]);
+      const uint32_t first = start_[work.unit], patches = start_[work.unit + 1] - first;
+      std::vector<Group> groups;
+      if (work.in_cache) groups = load(work.unit, true);
+      if (isClean(groups)) {
+        by_others += patches;
+        done.add(patches);
+        take(first, rowsOf(std::move(groups), set_.cell_m));
       } else {
-        rows = casting.cast(work.unit, done);
+        take(first, casting.cast(work.unit, done));
       }
-      take(start_[work.unit], std::move(rows));
     }
   });
-  counts.by_others = by_others;
+  found.by_others = by_others;
   cache_.store(kContents, settings_, contents_.encoded());
 }
 
@@ -356,15 +323,17 @@ void RayUnits::help(const RayCaster& caster, WorkCount& done, Ranks& ranks) {
   });
 }
 
-UnitCounts RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
-  std::vector<UnitState> states(units());
+CachedRays RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
+  tbb::combinable<CachedRays> counts;
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
-    states[u] = load(u, nullptr);
+    count(u, load(u, false), counts.local());
     done.add(start_[u + 1] - start_[u]);
   });
   changed.clear();
   if (const auto before = cache_.load(kContents, settings_)) changed = contents_.changesSince(*before);
-  return countsOf(states);
+  CachedRays found;
+  counts.combine_each([&](const CachedRays& of) { found += of; });
+  return found;
 }
 
 }  // namespace ff::bake

@@ -89,12 +89,12 @@ nlohmann::json baked(const std::filesystem::path& folder, uint32_t rays, uint64_
   return stats;
 }
 
-// The share of a bake's units of rays that an edit has cast again; the bake is in the cache.
+// The share of a bake's patches whose rays an edit has cast again; the bake is in the cache.
 double editShare(const Scene& town, Vec3 ground, BakeSettings settings) {
   Scene edited = town;  // and a house of 3.5 x 3.5 x 5.5 m
   test::addBlock(edited, ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}, town.triangles[0].material, false);
-  const UnitCounts units = orExit(bakeStatus(edited, settings)).ray_units;
-  return 1 - static_cast<double>(units.clean) / static_cast<double>(units.units());
+  const CachedRays cached = orExit(bakeStatus(edited, settings)).cached;
+  return 1 - static_cast<double>(cached.clean) / static_cast<double>(cached.patches());
 }
 
 // Embree with a scene's triangles, and nothing else.
@@ -330,8 +330,8 @@ int main(int argc, char** argv) {
   for (const Vec3& at : scene.positions) all_of_it.add(at);
   const double corner = editShare(scene, {all_of_it.lo.x + 12, 0, all_of_it.lo.z + 12}, asked);
   print("bake.edit_share", editShare(scene, placeOf({(made.street_from.x + made.street_to.x) / 2, 0, (made.street_from.z + made.street_to.z) / 2}), asked), "ratio", 0.1,
-        "units of rays cast again after a house of 4 m was built in the middle of the street through the town; in a corner of it " + std::to_string(corner) +
-            ". Bound by what sees it. Patches, pyramid and strips are made anew whole");
+        "patches whose rays are cast again after a house of 4 m was built in the middle of the street through the town; in a corner of it " + std::to_string(corner) +
+            ". Bound by what sees it, in groups of patches that a cube of 4 cells holds. Patches, pyramid and strips are made anew whole");
 
   const Scene little = town(folder, small);
   const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1, .rays = rays}, (folder / "little.ffm").string()));

@@ -13,7 +13,7 @@ mkdir one many
 expect 0 "${bake[@]}" -o one/w.ffm --no-cache --quiet
 for n in 2 4; do
   expect 0 ranks -n $n "${bake[@]}" -o many/w.ffm --quiet --json
-  python3 -c 'import json; u = json.load(open("out.txt"))["ray_units"]; assert 0 < u["by_other_ranks"] < u["missing"], u' || fail "nobody helped: $(cat out.txt)"
+  python3 -c 'import json; u = json.load(open("out.txt"))["cached_patches"]; assert 0 < u["by_other_ranks"] < u["missing"], u' || fail "nobody helped: $(cat out.txt)"
   cmp <(shards one) <(shards many) || fail "other bytes by $n ranks"
   rm -rf many/*
 done
@@ -39,7 +39,7 @@ killed 1
 [ $code != 0 ] || fail "mpirun says that all is well"
 [ ! -e many/w.ffm ] || fail "there is a world, although the bake was ended"
 expect 0 ranks -n 2 "${bake[@]}" -o many/w.ffm --quiet --json
-python3 -c 'import json; u = json.load(open("out.txt"))["ray_units"]; assert u["clean"] > 0, u' || fail "all was done again: $(cat out.txt)"
+python3 -c 'import json; u = json.load(open("out.txt"))["cached_patches"]; assert u["clean"] > 0, u' || fail "all was done again: $(cat out.txt)"
 cmp <(shards one) <(shards many) || fail "other bytes after a rank was killed"
 
 # Rank 0 is killed, and nobody tells the others: they notice, and the same command goes on.

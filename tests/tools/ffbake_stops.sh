@@ -57,7 +57,7 @@ expect 0 "${long[@]}" --status --cache absent.cache
 expect 0 "${long[@]}" --status --json
 python3 - <<'PY' || fail "nothing was kept: $(cat out.txt)"
 import json
-units = json.load(open("out.txt"))["ray_units"]
+units = json.load(open("out.txt"))["cached_patches"]
 assert 0 < units["clean"] and units["missing"] > 0 and units["stale"] == 0, units
 PY
 nohup "${bake[@]}" -o killed/w.ffm --quiet --no-cache >out.txt 2>err.txt & pid=$!
@@ -151,7 +151,7 @@ for text in open("err.txt"):
 assert phases == ["import", "patches", "rays", "pyramid", "strips", "geometry"], phases
 done = json.load(open("out.txt"))
 assert list(done["seconds_by_phase"]) == sorted(phases) and done["peak_bytes"] > 0
-assert done["ray_units"]["missing"] == done["ray_units"]["stale"] == 0 < done["ray_units"]["clean"] and done["rays_cast"] == 0 < done["rays"], done
+assert done["cached_patches"]["missing"] == done["cached_patches"]["stale"] == 0 < done["cached_patches"]["clean"] and done["rays_cast"] == 0 < done["rays"], done
 PY
 expect 0 "$ffbake" -o killed/w.ffm --cache c --clean
 [ ! -e c ] || fail "the cache is still there"

@@ -49,8 +49,8 @@ nlohmann::json toJson(const std::vector<bake::Finding>& findings) {
   return out;
 }
 
-nlohmann::json toJson(const bake::UnitCounts& units) {
-  return {{"clean", units.clean}, {"stale", units.stale}, {"missing", units.missing}, {"by_other_ranks", units.by_others}};
+nlohmann::json toJson(const bake::CachedRays& patches) {
+  return {{"clean", patches.clean}, {"stale", patches.stale}, {"missing", patches.missing}, {"by_other_ranks", patches.by_others}};
 }
 
 }  // namespace
@@ -96,9 +96,9 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
   for (const auto& [phase, seconds] : phases) fmt::print(" {} {:.1f}", phase, seconds);
   fmt::print("\n");
   if (cache_bytes > 0) {
-    fmt::print("  {} of {} units of rays were in the cache, which holds {:.1f} MB now\n", s.ray_units.clean, s.ray_units.units(),
+    fmt::print("  the rays of {} of {} patches were in the cache, which holds {:.1f} MB now\n", s.cached.clean, s.cached.patches(),
                static_cast<double>(cache_bytes) * 1e-6);
-    if (s.ray_units.by_others > 0) fmt::print("  {} were cast by other ranks\n", s.ray_units.by_others);
+    if (s.cached.by_others > 0) fmt::print("  those of {} were cast by other ranks\n", s.cached.by_others);
   }
   printNotModelled(s.findings);
 }
@@ -120,16 +120,16 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
           {"findings", toJson(s.findings)},
           {"ray_seconds", s.ray_seconds},   {"seconds", s.seconds},
           {"seconds_by_phase", seconds_by_phase}, {"peak_bytes", peakBytes()},
-          {"ray_units", toJson(s.ray_units)}, {"cache_bytes", cache_bytes},
+          {"cached_patches", toJson(s.cached)}, {"cache_bytes", cache_bytes},
           {"levels", levels}};
 }
 
 void printStatus(const bake::BakeStatus& s, const std::string& world, uint64_t cache_bytes) {
   constexpr size_t kMostPlaces = 5;
   fmt::print("{}: {} patches of {:.4g} m; the cache holds {:.1f} MB\n", world, s.patches, static_cast<double>(s.cell_m), static_cast<double>(cache_bytes) * 1e-6);
-  fmt::print("  rays: of {} units {} are clean; {} are stale, as something has changed where their rays went; {} are missing, as their surface, the\n"
+  fmt::print("  rays: of {} patches {} are clean; {} are stale, as something has changed where their rays went; {} are missing, as their surface, the\n"
              "        lamps or the settings were never cast before\n",
-             s.ray_units.units(), s.ray_units.clean, s.ray_units.stale, s.ray_units.missing);
+             s.cached.patches(), s.cached.clean, s.cached.stale, s.cached.missing);
   fmt::print("  patches, pyramid, strips, geometry: always made anew\n");
   if (s.changed.empty()) return;
   fmt::print("  changed since the last bake: {} cubes, around", s.changed.size());
@@ -143,7 +143,7 @@ void printStatus(const bake::BakeStatus& s, const std::string& world, uint64_t c
 nlohmann::json toJson(const bake::BakeStatus& s, uint64_t cache_bytes) {
   nlohmann::json changed = nlohmann::json::array();
   for (const Vec3& at : s.changed) changed.push_back({at.x, at.y, at.z});
-  return {{"cell_m", s.cell_m}, {"patches", s.patches}, {"ray_units", toJson(s.ray_units)}, {"changed", changed}, {"cache_bytes", cache_bytes}};
+  return {{"cell_m", s.cell_m}, {"patches", s.patches}, {"cached_patches", toJson(s.cached)}, {"changed", changed}, {"cache_bytes", cache_bytes}};
 }
 
 }  // namespace ff::tools

@@ -22,7 +22,7 @@ namespace ff::bake {
 namespace {
 
 constexpr uint32_t kFewRays = 64;
-const RayBudget kAsked{1024, 0.05f};  // many units need more than the least
+const RayBudget kAsked{1024, 0.05f};  // many groups need more than the least
 
 bool equal(const HitRows& a, const HitRows& b) {
   const auto same_bytes = [](const auto& x, const auto& y) { return x.size() == y.size() && (x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0); };
@@ -37,7 +37,7 @@ bool equal(const HitRows& a, const HitRows& b) {
 }
 
 struct Cast {
-  UnitCounts counts;
+  CachedRays counts;
   HitRows rows;
 };
 
@@ -51,14 +51,14 @@ Cast castBoth(const Scene& scene, float cell_m, BakeCache& cache, const std::str
   Cast cast;
   RayUnits units(scene, *set, budget, 1, cache);
   std::vector<Vec3> changed;
-  const UnitCounts before = units.status(done, changed);
+  const CachedRays before = units.status(done, changed);
   cast.rows = gathered([&](const TakeRows& take) { units.cast(*caster, done, cast.counts, take); });
   EXPECT_EQ(before.clean, cast.counts.clean);
   EXPECT_EQ(before.stale, cast.counts.stale);
   EXPECT_TRUE(equal(cast.rows, castRows(scene, *set, *caster, budget, 1, done))) << what;
-  UnitCounts again;
+  CachedRays again;
   EXPECT_TRUE(equal(cast.rows, gathered([&](const TakeRows& take) { units.cast(*caster, done, again, take); }))) << what << ", again";
-  EXPECT_EQ(again.clean, again.units()) << what;
+  EXPECT_EQ(again.clean, again.patches()) << what;
   return cast;
 }
 
@@ -100,20 +100,37 @@ TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
   const auto cache = cacheIn(folder.file("cache"));
   EXPECT_EQ(castBoth(scene, 1, *cache, "the first bake").counts.clean, 0u);
   std::mt19937 random(3);
-  uint64_t clean = 0, units = 0;
+  uint64_t clean = 0, stale = 0, patches = 0;
   for (int round = 0; round < 16; ++round) {
     const RayBudget budget = round < 12 ? RayBudget(kFewRays) : kAsked;
     std::string what;
     Scene edited = scene;
     edit(edited, all, random, what);
-    const UnitCounts counts = castBoth(edited, 1, *cache, what, budget).counts;
+    const CachedRays counts = castBoth(edited, 1, *cache, what, budget).counts;
     clean += counts.clean;
-    units += counts.units();
+    stale += counts.stale;
+    patches += counts.patches();
     if (round % 3 == 0) scene = std::move(edited);  // or back again
   }
-  std::cout << clean << " units of " << units << " were clean\n";
-  EXPECT_GT(clean, units / 8);
-  EXPECT_LT(clean, units);
+  std::cout << clean << " patches of " << patches << " were clean, " << stale << " stale\n";
+  EXPECT_GT(clean, patches / 8);
+  EXPECT_GT(stale, 0u);
+}
+
+TEST(RayUnits, CastAgainOnlyTheGroupsThatAnEditMeets) {
+  const formats::TemporaryFolder folder;
+  Scene scene;
+  const uint32_t ground = test::addMaterial(scene, {.5f, .5f, .5f});
+  test::addQuad(scene, {0, 0, 0}, {0, 0, 16}, {16, 0, 16}, {16, 0, 0}, ground);  // one unit: 256 patches, 16 groups
+  const auto cache = cacheIn(folder.file("cache"));
+  EXPECT_EQ(castBoth(scene, 1, *cache, "open ground", 32).counts.missing, 256u);
+  test::addTriangle(scene, {-20, 3, -20}, {-19, 3, -20}, {-20, 3, -19}, ground);
+  const CachedRays counts = castBoth(scene, 1, *cache, "a kite", 32).counts;
+  std::cout << counts.stale << " of 256 patches were stale\n";
+  EXPECT_EQ(counts.stale % 16, 0u);
+  EXPECT_GT(counts.stale, 0u);
+  EXPECT_LT(counts.stale, 200u);
+  EXPECT_GE(counts.clean, 56u);
 }
 
 TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
@@ -124,7 +141,7 @@ TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
   const auto cache = cacheIn(folder.file("cache"));
   castBoth(scene, 1, *cache, "open ground");
   test::addQuad(scene, {0, 300, 0}, {30, 300, 0}, {30, 300, 30}, {0, 300, 30}, ground);
-  const UnitCounts counts = castBoth(scene, 1, *cache, "a roof far above").counts;
+  const CachedRays counts = castBoth(scene, 1, *cache, "a roof far above").counts;
   EXPECT_EQ(counts.clean, 0u);
   EXPECT_GT(counts.stale, 0u);
 }
@@ -139,9 +156,9 @@ TEST(RayUnits, NoticeWhatLampsAndVeilsAreMadeOf) {
   test::addQuad(scene, {.2f, .5f, .2f}, {.2f, .5f, .8f}, {.8f, .5f, .8f}, {.8f, .5f, .2f}, veil);
   const auto cache = cacheIn(folder.file("cache"));
   const auto expectClean = [&](const char* what, bool clean) {
-    const UnitCounts counts = castBoth(scene, 0.1f, *cache, what).counts;
-    EXPECT_GT(counts.units(), 1u);
-    EXPECT_EQ(counts.clean, clean ? counts.units() : 0) << what;
+    const CachedRays counts = castBoth(scene, 0.1f, *cache, what).counts;
+    EXPECT_GT(counts.patches(), 1u);
+    EXPECT_EQ(counts.clean, clean ? counts.patches() : 0) << what;
   };
   expectClean("the first", false);
   scene.materials[0].base_color = {.9f, .2f, .2f};
@@ -158,15 +175,15 @@ TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
   const formats::TemporaryFolder folder;
   const Scene scene = test::closedBox({.5f, .5f, .5f}, {1, 1, 1});
   const auto cache = cacheIn(folder.file("cache"));
-  const UnitCounts first = castBoth(scene, 0.1f, *cache, "the first").counts;
+  const CachedRays first = castBoth(scene, 0.1f, *cache, "the first").counts;
   std::mt19937 random(5);
-  uint64_t damaged = 0;
+  size_t files = 0, damaged = 0;
   for (const auto& file : std::filesystem::directory_iterator(folder.file("cache"))) {
     const std::string path = file.path().string();
     if (file.path().filename().string().starts_with("contents")) continue;
     std::vector<std::byte> bytes = formats::readFile(path);
-    const int kind = static_cast<int>(random() % 4);
-    if (kind == 0) continue;
+    if (files++ == 0) continue;
+    const int kind = static_cast<int>(1 + random() % 3);
     if (kind == 1) bytes.resize(random() % bytes.size());
     if (kind == 2) bytes[random() % bytes.size()] ^= std::byte{4};
     if (kind == 3) bytes.assign(bytes.size(), std::byte{0});
@@ -174,9 +191,11 @@ TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
     ++damaged;
   }
   EXPECT_GT(damaged, 2u);
-  const UnitCounts second = castBoth(scene, 0.1f, *cache, "after damage").counts;
-  EXPECT_EQ(second.missing, damaged);
-  EXPECT_EQ(second.clean, first.units() - damaged);
+  const CachedRays second = castBoth(scene, 0.1f, *cache, "after damage").counts;
+  EXPECT_EQ(second.stale, 0u);
+  EXPECT_GE(second.missing, damaged);
+  EXPECT_GT(second.clean, 0u);
+  EXPECT_EQ(second.missing + second.clean, first.patches());
 }
 
 // Ranks of one process: what others ask, a thread of the test answers by what rank 0 was told to serve.
@@ -253,7 +272,7 @@ TEST(RayUnits, AreTheSameWhoeverCastsThemAndWhoeverIsGone) {
         }
       });
     RayUnits units(scene, *set, kFewRays, 1, *cache);
-    UnitCounts counts;
+    CachedRays counts;
     EXPECT_TRUE(equal(alone, gathered([&](const TakeRows& take) { units.cast(*caster, done, counts, take, &ranks); })));
     for (std::thread& t : others) t.join();
     EXPECT_EQ(counts.clean, 0u);
