@@ -28,7 +28,6 @@ struct CubeBox {
 struct CubesOfBlock {
   uint32_t block = 0;  // number of its first cube / 64
   uint64_t cubes = 0;  // a bit each
-  friend bool operator==(const CubesOfBlock&, const CubesOfBlock&) = default;
 };
 
 // Not thread-safe. Memory: a bit a cube of the box.

@@ -63,6 +63,7 @@ TEST(RayTrail, HoldsTheCubesOnTheWayAndNoOthers) {
     trail.add(ray, to_m);
     const std::vector<uint32_t> cubes = cubesOf(trail);
     const std::set<uint32_t> passed(cubes.begin(), cubes.end());
+    EXPECT_EQ(passed.size(), cubes.size());
     EXPECT_TRUE(std::is_sorted(cubes.begin(), cubes.end()));
     bool outside = false;
     for (int a = 0; a < 3; ++a)
