@@ -363,7 +363,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   {
     ProgressReport report(progress, "pyramid", hits.ranges() + hierarchy.tile_start[0].size() - 1 + tiles_total, settings.stop);
     for (uint32_t l = 0; l < hierarchy.levels(); ++l)
-      levels.emplace_back(hierarchy.tile_start[l].size() - 1, l == 0 ? std::span<const double>(density) : std::span<const double>{}, rows_aside);
+      levels.emplace_back(hierarchy.tile_start[l].size() - 1, rows_aside);
     light.push_back(poolPatches({set.patches, whole_area, sun, patch_of, density}, hierarchy, hits, path, settings.memory_bytes, levels[0], report.count, stats.spilled_bytes));
     for (uint32_t l = 1; l < hierarchy.levels(); ++l) light.push_back(gatherClusters(levels[l - 1], light[l - 1], hierarchy, l, levels[l], report.count));
   }

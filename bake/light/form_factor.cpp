@@ -10,7 +10,10 @@
 #include <mutex>
 
 #include "bake/all_threads.h"
+#include "bake/light/ray_fan.h"
 #include "bake/light/row_error.h"
+#include "bake/light/row_hits.h"
+#include "bake/light/unoccluded.h"
 #include "bake/rays/cosine_rays.h"
 #include "bake/surface/sealed.h"
 
@@ -23,6 +26,7 @@ constexpr uint32_t kMaxCast = 256;       // patches cast by one task, but for th
 static_assert(kGroupLog <= kCastLog);
 constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches of a group whose errors tell how many rays it needs: so many, or one of so many
 constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
+constexpr double kLeastExpected = 1;     // rays towards a patch from which on geometry tells better than their number
 
 Ray cosineRay(const SurfacePoint& from) { return {from.position, cosineDirection(frameOf(from.normal), from.u, from.v)}; }
 
@@ -59,7 +63,7 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
-        : count(s.set.patches.size()), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
+        : met(s.budget.rays), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
           lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light), leaks(s.set.cell_m) {}
 
     // The first so many points' rays and hits.
@@ -68,8 +72,10 @@ struct RowCaster::State {
       caster.nearest(std::span(rays).first(n), std::span(hits).first(n));
     }
 
-    PagedVector<uint16_t> count;     // per patch of the set, zero between rows
-    std::vector<uint32_t> touched;
+    RowHits hit_patches;
+    std::vector<uint32_t> met;       // by ray: the patch that it ends on, or kNone
+    PatchShape shape, other;
+    RayFan fan;
     std::vector<SurfacePoint> points;
     std::vector<Ray> rays;           // from them
     std::vector<Hit> hits;           // of them
@@ -91,6 +97,9 @@ struct RowCaster::State {
   const MadeUpLight light;
   tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
 
+  // What the rays stand for that hit other patches.
+  void tell(uint32_t patch, uint32_t rays, Scratch& s) const;
+
   // Of a group.
   uint32_t raysFor(uint32_t first, uint32_t end, Scratch& s) const;
   HitRows cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const;
@@ -107,6 +116,29 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   return state_->cast(first, end, *scratch, done);
 }
 
+void RowCaster::State::tell(uint32_t patch, uint32_t rays, Scratch& s) const {
+  const Patch& from = set.patches[patch];
+  s.shape.assign(set, patch);
+  s.fan.assign(s.shape, from.normal, std::span(s.rays).first(rays), std::span(s.met).first(rays));
+  for (RowHits::Entry& e : s.hit_patches.entries()) {
+    e.stand_for = {static_cast<double>(e.hits[0]), static_cast<double>(e.hits[1])};
+    if (e.patch == patch || farExchange(from, set.patches[e.patch]) * rays < kLeastExpected * static_cast<double>(from.area_m2)) continue;
+    s.other.assign(set, e.patch);
+    const std::optional<double> exchange = unoccludedExchange(s.shape, s.other);
+    const double expected = exchange ? *exchange / s.shape.area_m2 * rays : 0;
+    if (expected < kLeastExpected) continue;
+    const RayFan::Share share = s.fan.towards(e.patch, s.other, expected);
+    if (!(share.all() ? isLikely(e.count(), expected) : share.isLikely())) continue;
+    const double seen = share.all() ? 1 : static_cast<double>(share.there[0] + share.there[1]) / (share.towards[0] + share.towards[1]);
+    for (size_t half = 0; half < 2; ++half)
+      e.stand_for[half] = expected / 2 * (share.towards[half] > 0 ? static_cast<double>(share.there[half]) / share.towards[half] : seen);
+    e.estimate = expected * seen;
+    e.whole = share.all();
+  }
+  s.error.clear();
+  for (const RowHits::Entry& e : s.hit_patches.entries()) s.error.add(e.patch, e.hits, e.stand_for);
+}
+
 // From the errors of a few of them with few rays.
 uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) const {
   if (budget.fewest() == budget.rays) return budget.rays;
@@ -117,13 +149,17 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
     // Of each few one by chance: those of a cell follow each other by orientation, and every fourth may be the outside of a wall.
     const uint32_t patch = begin + static_cast<uint32_t>(mix64(set.patches[begin].name) % std::min(step, end - begin));
     surfacePoints(scene, set, patch, sobol, seed, caster, std::span(s.points).first(kLeastRays));
-    s.error.clear();
     s.castFrom(kLeastRays);
+    s.hit_patches.begin(kLeastRays);
+    uint32_t sky = 0;
     for (uint32_t k = 0; k < kLeastRays; ++k) {
       const Hit& hit = s.hits[k];
-      if (hit.triangle == kNone) s.error.sky();
-      else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.error.hit(2 * k >= kLeastRays, j);
+      s.met[k] = kNone;
+      if (hit.triangle == kNone) ++sky;
+      else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.hit_patches.add(s.met[k] = j, 2 * k >= kLeastRays);
     }
+    tell(patch, kLeastRays, s);
+    s.error.sky(sky);
     square += s.error.square(kLeastRays);
   }
   const double off = std::sqrt(square / tried) / static_cast<double>(budget.target_error);
@@ -152,7 +188,7 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
     const size_t i = patch - first;
     surfacePoints(scene, set, patch, sobol, seed, caster, points);
     if (!lamps.empty()) s.lamps.aim(patch, rays);
-    s.error.clear();
+    s.hit_patches.begin(rays);
     SkyRays& sky = s.sky[i];
     sky.look.clear();
     sky.main.clear();
@@ -163,9 +199,9 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
       const SurfacePoint& from = points[k];
       const Ray& ray = s.rays[k];
       const Hit& hit = s.hits[k];
+      s.met[k] = kNone;
       if (hit.triangle == kNone) {
         ++rows.sky[i];
-        s.error.sky();
         (k < lookingRays(rays) ? sky.look : sky.main).push_back({ray.origin, ray.direction, dot(ray.direction, from.normal)});
         continue;
       }
@@ -183,23 +219,25 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
         if (!buried && !hit.front) s.leaks.add({hit.point, set.patches[patch].area_m2 / static_cast<float>(rays)});
         continue;
       }
-      if (s.count[j]++ == 0) s.touched.push_back(j);
-      s.error.hit(2 * k >= rays, j);
+      s.hit_patches.add(s.met[k] = j, 2 * k >= rays);
       if (lamps.leafOf(j) != kNone) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
     }
     for (auto* reached : {&sky.look, &sky.main})
       for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
     for (const uint32_t hits : near) if (hits > kMaxRays * rays) ++rows.narrow[i];
     if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
-    std::sort(s.touched.begin(), s.touched.end());
-    for (uint32_t j : s.touched) {
-      rows.column.push_back(j);
-      rows.count.push_back(s.count[j]);
-      s.count[j] = 0;
+    tell(patch, rays, s);
+    const std::span<RowHits::Entry> entries = s.hit_patches.entries();
+    s.error.sky(rows.sky[i]);
+    rows.square_error[i] = static_cast<float>(s.error.square(rays));
+    std::sort(entries.begin(), entries.end(), [](const RowHits::Entry& a, const RowHits::Entry& b) { return a.patch < b.patch; });
+    for (const RowHits::Entry& e : entries) {
+      rows.column.push_back(e.patch);
+      rows.count.push_back(static_cast<uint16_t>(e.count()));
+      rows.whole.push_back(e.whole);
+      rows.estimate.push_back(e.estimate > 0 ? std::max(1u, static_cast<uint32_t>(e.estimate * kRayParts + 0.5)) : 0);
     }
     rows.start[i + 1] = rows.column.size();
-    rows.square_error[i] = static_cast<float>(s.error.square(rays));
-    s.touched.clear();
     done.add();
   }
   const auto sky = skyOf(scene, set, s.caster, sobol, seed, first, std::span(s.sky).first(n), rays);

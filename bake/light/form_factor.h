@@ -1,7 +1,8 @@
 // Form factors by ray casting: row i of the hit matrix counts where `rays` cosine-distributed rays from patch i end.
 //   F_ij = 1/A_i int_Ai int_Aj cos(i) cos(j) / (pi r^2) V dAj dAi  is estimated by  h_ij / rays.
 // Michael F. Cohen, John R. Wallace. Radiosity and Realistic Image Synthesis. 1993, chapter 4.
-// A patch's rays depend on its name and the seed alone.
+// A patch's rays depend on its name and the seed alone. What rays towards a patch stand for is what the two would exchange if nothing stood between them
+// (unoccluded.h) times the share that gets there (ray_fan.h), where a ray or more is expected there: fewer are left to chance.
 //
 // Levels are built of solids that run into each other. An origin is *buried* when its ray and four more around its normal
 // all end on back faces: it lies inside another solid and takes no part. A patch's exposed area is A_i (1 - buried / rays).
@@ -55,8 +56,7 @@ class RowCaster {
   // All outlive it.
   RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed);
   ~RowCaster();
-  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, 2 bytes a patch of the
-  // set. trail: where the rays go is added to it; may be null. done: counts patches.
+  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, by rays. trail: where the rays go is added to it; may be null. done: counts patches.
   HitRows cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const;
 
  private:

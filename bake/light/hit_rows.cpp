@@ -32,6 +32,8 @@ HitRows joined(std::vector<HitRows> ranges) {
   }
   join(&HitRows::column, entries);
   join(&HitRows::count, entries);
+  join(&HitRows::estimate, entries);
+  join(&HitRows::whole, entries);
   for (const auto member : {&HitRows::rays, &HitRows::sky, &HitRows::absorbed, &HitRows::buried}) join(member, n);
   join(&HitRows::square_error, n);
   join(&HitRows::sky_fraction, n);
@@ -96,6 +98,19 @@ bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& 
   return in.ok();
 }
 
+void putHits(formats::ByteWriter& out, const HitRows& rows, uint64_t entry) {
+  const uint32_t estimate = rows.estimate[entry];
+  putVarint(out, 4u * rows.count[entry] + 2u * rows.whole[entry] + (estimate > 0));
+  if (estimate > 0) putVarint(out, estimate);
+}
+
+void takeHits(formats::ByteReader& in, HitRows& rows) {
+  const uint64_t hits = takeVarint(in);
+  rows.count.push_back(static_cast<uint16_t>(hits / 4));
+  rows.whole.push_back(hits / 2 % 2);
+  rows.estimate.push_back(hits % 2 > 0 ? static_cast<uint32_t>(takeVarint(in)) : 0);
+}
+
 std::vector<std::byte> encoded(const HitRows& rows) {
   formats::ByteWriter out;
   putSeen(out, rows);
@@ -104,7 +119,7 @@ std::vector<std::byte> encoded(const HitRows& rows) {
     uint32_t last = 0;
     for (uint64_t k = rows.start[i]; k < rows.start[i + 1]; last = rows.column[k++]) {
       putVarint(out, rows.column[k] - last);
-      putVarint(out, rows.count[k]);
+      putHits(out, rows, k);
     }
   }
   return std::move(out.data());
@@ -119,7 +134,7 @@ HitRows decodedHits(std::span<const std::byte> bytes) {
     uint32_t last = 0;
     for (uint64_t left = takeVarint(in); left > 0; --left) {
       rows.column.push_back(last += static_cast<uint32_t>(takeVarint(in)));
-      rows.count.push_back(static_cast<uint16_t>(takeVarint(in)));
+      takeHits(in, rows);
     }
     rows.start.push_back(rows.column.size());
   }

@@ -14,12 +14,16 @@
 
 namespace ff::bake {
 
+inline constexpr double kRayParts = 256;
+
 // Sparse rows of hit counts over patches; columns ascending. Rows sum with sky, absorbed and buried to their `rays`.
 struct HitRows {
   std::vector<uint32_t> rays;      // per patch
   std::vector<uint64_t> start;     // patches + 1
   std::vector<uint32_t> column;
   std::vector<uint16_t> count;
+  std::vector<uint32_t> estimate;  // what the rays of an entry stand for where geometry tells (unoccluded.h), in 1 / kRayParts of one; 0: the count
+  std::vector<uint8_t> whole;      // of an estimate: nothing is hidden of the patch, as far as rays tell
   std::vector<uint32_t> sky, absorbed, buried;  // per patch; absorbed: back faces seen from exposed origins
   std::vector<float> square_error;       // per patch: RowError::square()
   std::vector<float> sky_fraction;       // per patch, of its whole area's hemispheres: with guided rays, where they were cast
@@ -50,7 +54,11 @@ void skyFields(Bytes& b, Means& means) {
 void putLamps(formats::ByteWriter& out, std::span<const LampIrradiance> lamps);
 std::vector<LampIrradiance> takeLamps(formats::ByteReader& in);
 
-// All but where rays hit (start, column and count).
+// Count, estimate and `whole` of an entry; taken ones are appended.
+void putHits(formats::ByteWriter& out, const HitRows& rows, uint64_t entry);
+void takeHits(formats::ByteReader& in, HitRows& rows);
+
+// All but where rays hit (start, column, count, estimate and whole).
 void putSeen(formats::ByteWriter& out, const HitRows& rows);
 // raw: what `in` reads. False where it is not what putSeen() writes.
 bool takeSeen(formats::ByteReader& in, std::span<const std::byte> raw, HitRows& rows);

@@ -17,14 +17,16 @@ MadeUpLight::MadeUpLight(const PatchSet& set) {
 }
 
 double RowError::square(uint32_t rays) const {
+  std::array<double, 2> scale{};  // rows are made to add up, too
+  for (size_t half = 0; half < 2; ++half) scale[half] = stand_for_[half] > 0 ? rays_[half] / stand_for_[half] : 0;
   double off = 0, all = 0;
   for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
-    const auto a = static_cast<double>(lit_[0][l]), b = static_cast<double>(lit_[1][l]);
+    const double a = lit_[0][l] * scale[0], b = lit_[1][l] * scale[1];
     off += (a - b) * (a - b);
     all += a + b + sky_;
   }
   const double brought = std::max(all / MadeUpLight::kLights, kFloor * rays);
-  return off / MadeUpLight::kLights / (brought * brought);
+  return kPooled * off / MadeUpLight::kLights / (brought * brought);
 }
 
 }  // namespace ff::bake

@@ -1,7 +1,8 @@
-// How far the light that a row brings is off, as its own rays tell: those of the first half against those of the second. The light is made up, so
+// How far the light that a pooled row brings is off, as its own rays tell: those of the first half against those of the second. The light is made up, so
 // that the error is known before any light is, whatever colour surfaces have: all patches of one orientation in a cube of 4 cells shine like the
 // sky or not at all, by chance, in kLights ways. What a row brings of a sunlit wall in a dark street is so. Rays of a scrambled Sobol sequence are
-// stratified together, and the halves miss on opposite sides: the estimate is not too low.
+// stratified together, and the halves miss on opposite sides: the estimate is not too low. What geometry tells of near patches is the same in both halves; of
+// the rest, the rays of the other ends tell as much (matrix/pool.h): kPooled of the square is left.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -27,21 +28,30 @@ class RowError {
   explicit RowError(const MadeUpLight& light) : light_(light) {}
   void clear() {
     lit_ = {};
+    rays_ = {};
+    stand_for_ = {};
     sky_ = 0;
   }
-  // A ray of a half, 0 or 1, that ends on a patch.
-  void hit(int half, uint32_t patch) {
-    for (size_t l = 0; l < MadeUpLight::kLights; ++l) lit_[static_cast<size_t>(half)][l] += light_.shines(patch, l);
+  // Rays of the first and of the second half that end on a patch, and how many they stand for.
+  void add(uint32_t patch, std::array<uint32_t, 2> rays, std::array<double, 2> stand_for) {
+    for (size_t half = 0; half < 2; ++half) {
+      rays_[half] += rays[half];
+      stand_for_[half] += stand_for[half];
+      for (size_t l = 0; l < MadeUpLight::kLights; ++l) lit_[half][l] += light_.shines(patch, l) ? stand_for[half] : 0;
+    }
   }
-  void sky() { ++sky_; }
+  void sky(uint32_t rays) { sky_ = rays; }
   // Mean square over all lights of the error of `rays` rays, relative to what they bring, or to kFloor of what an open sky would where that is more: in
   // a crevice that sees next to nothing next to nothing is off.
   double square(uint32_t rays) const;
   static constexpr double kFloor = 0.25;
+  static constexpr double kPooled = 0.6;  // 0.49 to 0.65 in towns and rooms, 256 and 1024 rays
 
  private:
   const MadeUpLight& light_;
-  std::array<std::array<uint32_t, MadeUpLight::kLights>, 2> lit_{};  // rays that end on what shines, by half and light
+  std::array<std::array<double, MadeUpLight::kLights>, 2> lit_{};  // what ends on what shines, by half and light
+  std::array<uint32_t, 2> rays_{};     // that end on patches, by half
+  std::array<double, 2> stand_for_{};
   uint32_t sky_ = 0;
 };
 

@@ -1,7 +1,5 @@
 #include "bake/matrix/level_rows.h"
 
-#include <cmath>
-
 #include "bake/packing.h"
 
 namespace ff::bake {
@@ -28,42 +26,39 @@ void fields(Bytes& b, NodeRowT& n) {
 
 }  // namespace
 
-void LevelRows::put(uint32_t tile, uint32_t first_node, std::span<const NodeRow> rows) {
+void LevelRows::put(uint32_t tile, std::span<const NodeRow> rows) {
   ByteWriter out;
   putVarint(out, rows.size());
-  for (size_t i = 0; i < rows.size(); ++i) {
-    const ExchangeRow& row = rows[i].row;
+  for (const NodeRow& of_node : rows) {
+    const ExchangeRow& row = of_node.row;
     putLamps(out, row.lamps);
-    fields(out, rows[i]);
+    fields(out, of_node);
     putVarint(out, row.column.size());
-    const size_t node = first_node + i;
     uint32_t last = 0;
     for (size_t k = 0; k < row.column.size(); last = row.column[k++]) {
       putVarint(out, row.column[k] - last);
-      if (density_.empty()) out.f32(static_cast<float>(row.area_m2[k]));
-      else putVarint(out, static_cast<uint64_t>(std::llround(row.area_m2[k] * (density_[node] + density_[row.column[k]]))));
+      out.f32(static_cast<float>(row.area_m2[k]));
     }
   }
-  tile_[tile] = {first_node, spill_.put(out.data())};
+  tile_[tile] = spill_.put(out.data());
 }
 
 std::vector<NodeRow> LevelRows::get(uint32_t tile) const {
-  const std::vector<std::byte> raw = spill_.get(tile_[tile].block);
+  const std::vector<std::byte> raw = spill_.get(tile_[tile]);
   ByteReader in(raw);
   std::vector<NodeRow> rows(takeVarint(in));
-  for (size_t i = 0; i < rows.size(); ++i) {
-    ExchangeRow& row = rows[i].row;
+  for (NodeRow& of_node : rows) {
+    ExchangeRow& row = of_node.row;
     row.lamps = takeLamps(in);
-    fields(in, rows[i]);
-    const size_t node = tile_[tile].first_node + i;
+    fields(in, of_node);
     row.column.resize(takeVarint(in));
     row.area_m2.resize(row.column.size());
     uint32_t column = 0;
     for (size_t k = 0; k < row.column.size(); ++k) {
       row.column[k] = column += static_cast<uint32_t>(takeVarint(in));
       float area = 0;
-      if (density_.empty()) in.f32(area);
-      row.area_m2[k] = density_.empty() ? static_cast<double>(area) : static_cast<double>(takeVarint(in)) / (density_[node] + density_[column]);
+      in.f32(area);
+      row.area_m2[k] = static_cast<double>(area);
     }
   }
   return rows;

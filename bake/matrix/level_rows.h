@@ -20,22 +20,16 @@ struct NodeRow {
 
 class LevelRows {
  public:
-  // density: HitPool's, of patches, whose rows are kept exactly: as hits; empty: of clusters, whose exchange areas are kept as floats.
-  // Both outlive it.
-  LevelRows(size_t tiles, std::span<const double> density, Spill& spill) : density_(density), spill_(spill), tile_(tiles) {}
+  // Exchange areas are kept as floats. spill: outlives it.
+  LevelRows(size_t tiles, Spill& spill) : spill_(spill), tile_(tiles) {}
   // Rows of all nodes of a tile. Thread-safe for different tiles.
-  void put(uint32_t tile, uint32_t first_node, std::span<const NodeRow> rows);
+  void put(uint32_t tile, std::span<const NodeRow> rows);
   // Thread-safe.
   std::vector<NodeRow> get(uint32_t tile) const;
 
  private:
-  struct Tile {
-    uint32_t first_node = 0;
-    Spill::Block block;
-  };
-  const std::span<const double> density_;
   Spill& spill_;
-  std::vector<Tile> tile_;
+  std::vector<Spill::Block> tile_;
 };
 
 }  // namespace ff::bake

@@ -103,7 +103,7 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
           row.direct = directLight(row.row, patch.area_m2, source.sun[p]);
           light[i] = reflectedLight(patch.albedo, patch.area_m2, row.direct, row.row, {});
         }
-        rows.put(t, tiles[t], of_tile);
+        rows.put(t, of_tile);
         done.add();
       });
     }

@@ -14,10 +14,23 @@ namespace {
 
 using formats::ByteReader, formats::ByteWriter;
 
+// What the rays of one end stand for, as it is put aside: rays of the node or of the other one, by geometry or counted.
+struct HitWeight {
+  uint32_t parts;  // in 1 / kRayParts of a ray, if by geometry; else rays
+  bool by_geometry, whole, of_other;
+
+  static HitWeight of(const HitRows& rows, uint64_t entry, bool other) {
+    const bool told = rows.estimate[entry] > 0;
+    return {told ? rows.estimate[entry] : rows.count[entry], told, rows.whole[entry] > 0, other};
+  }
+  static HitWeight of(uint32_t bits) { return {bits >> 3, (bits & 1) != 0, (bits & 2) != 0, (bits & 4) != 0}; }
+  uint32_t bits() const { return parts << 3 | uint32_t{of_other} << 2 | uint32_t{whole} << 1 | uint32_t{by_geometry}; }
+  double rays() const { return by_geometry ? parts / kRayParts : parts; }
+};
+
 // A hit as wanted at one end.
 struct Wanted {
-  uint32_t node, column;
-  uint16_t count;
+  uint32_t node, column, weight;
   friend bool operator<(const Wanted& a, const Wanted& b) { return std::tie(a.node, a.column) < std::tie(b.node, b.column); }
 };
 
@@ -40,7 +53,7 @@ void putRuns(ByteWriter& out, std::span<const Wanted> hits, uint32_t first_node)
     putVarint(out, end - k);
     for (uint32_t last = 0; k < end; ++k) {
       putVarint(out, hits[k].column - std::exchange(last, hits[k].column));
-      putVarint(out, hits[k].count);
+      putVarint(out, hits[k].weight);
     }
   }
 }
@@ -60,8 +73,8 @@ void HitPool::add(uint32_t first_patch, const HitRows& rows) {
     own.patches.emplace_back(i, p);
     for (uint64_t k = rows.start[p]; k < rows.start[p + 1]; ++k) {
       const uint32_t j = number_[rows.column[k]];
-      own.hits.push_back({i, j, rows.count[k]});
-      parcels[bucketOf(j)].hits.push_back({j, i, rows.count[k]});
+      own.hits.push_back({i, j, HitWeight::of(rows, k, false).bits()});
+      parcels[bucketOf(j)].hits.push_back({j, i, HitWeight::of(rows, k, true).bits()});
     }
   }
   for (size_t b = 0; b < parcels.size(); ++b) {
@@ -118,7 +131,7 @@ PooledRows HitPool::take(size_t bucket) {
       run.end = run.begin + static_cast<uint32_t>(takeVarint(in));
       for (uint32_t column = 0; hits.size() < run.end;) {
         column += static_cast<uint32_t>(takeVarint(in));
-        hits.push_back({column, static_cast<uint16_t>(takeVarint(in))});
+        hits.push_back({column, static_cast<uint32_t>(takeVarint(in))});
       }
     }
   });
@@ -135,19 +148,25 @@ PooledRows HitPool::take(size_t bucket) {
 
 void PooledRows::row(uint32_t node, ExchangeRow& out) const {
   const uint32_t i = node - first_;
-  std::vector<std::pair<uint32_t, uint32_t>> all;  // column, hits
+  std::vector<std::pair<uint32_t, uint32_t>> all;  // column, weight
   for (uint64_t r = run_start_[i]; r < run_start_[i + 1]; ++r)
-    for (size_t k = runs_[r].begin; k < runs_[r].end; ++k) all.emplace_back(hits_[runs_[r].block][k].column, hits_[runs_[r].block][k].count);
+    for (size_t k = runs_[r].begin; k < runs_[r].end; ++k) all.emplace_back(hits_[runs_[r].block][k].column, hits_[runs_[r].block][k].weight);
   std::sort(all.begin(), all.end());
   out.column.clear();
   out.area_m2.clear();
   const double own = density_[node];
   for (size_t k = 0; k < all.size();) {
     const uint32_t j = all[k].first;
-    uint32_t hits = 0;
-    for (; k < all.size() && all[k].first == j; ++k) hits += all[k].second;
+    double told = 0, told_density = 0, counted = 0;  // rays, by geometry and counted; how dense those of the ends are where geometry tells
+    bool whole = false;
+    for (; k < all.size() && all[k].first == j; ++k) {
+      const HitWeight weight = HitWeight::of(all[k].second);
+      (weight.by_geometry ? told : counted) += weight.rays();
+      if (weight.by_geometry) told_density += weight.of_other ? density_[j] : own;
+      whole |= weight.whole;
+    }
     out.column.push_back(j);
-    out.area_m2.push_back(hits / (own + density_[j]));
+    out.area_m2.push_back(whole ? told / told_density : (told + counted) / (own + density_[j]));
   }
   out.sky_m2 = ends_[i].sky_m2;
   out.absorbed_m2 = ends_[i].absorbed_m2;

@@ -337,7 +337,7 @@ PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const 
         }
       }
     }
-    own.put(t, tiles[t], rows);
+    own.put(t, rows);
     done.add();
   });
   return own_light;

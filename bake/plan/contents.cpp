@@ -61,8 +61,11 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
     const uint32_t first = p;
     names.data().clear();
     for (; p < set.patches.size() && hilbertAncestor(set.patches[p].key, kMetLog) == cube; ++p) {
-      names.u64(set.patches[p].name);
-      names.u32(set.patches[p].orientation);
+      const Patch& patch = set.patches[p];
+      names.u64(patch.name);
+      names.u32(patch.orientation);
+      for (const PatchTriangle& t : std::span(set.triangles).subspan(patch.first_triangle, patch.triangles))
+        for (const Vec3& v : {t.a, t.b, t.c}) names.vec3(v);
     }
     patches_.push_back({cube, first, p, digestOf(names.data())});
   }

@@ -27,7 +27,7 @@ class Contents {
   // Appends what is held by cubes of a block, whose first cube may be in the box or not: place and digest of each that holds anything. place: of the
   // block's first cube.
   void append(const CubeBox::Cube& block, uint64_t cubes, uint64_t place, std::vector<Digest>& held) const;
-  // Of the patches whose cells lie in a cube of 2^kMetLog cells, by its Hilbert key: their names and orientations, in order. Zeros: there are none.
+  // Of the patches whose cells lie in a cube of 2^kMetLog cells, by its Hilbert key: names, orientations and corners, in order. Zeros: there are none.
   Digest patchesIn(uint64_t key) const;
   // Of patches [first, end): all that a ray that starts on them depends on.
   Digest surface(uint32_t first, uint32_t end) const;

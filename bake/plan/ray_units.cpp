@@ -83,7 +83,7 @@ namespace {
 // The parts of a unit's file, group after group. Columns are patches of the whole set, ascending, so that those of one cube of 2^kMetLog cells
 // follow each other: runs, within which patches count from the first of their cube.
 constexpr size_t kParts = 5;
-enum Part { kTrails, kSeen, kRuns, kIndex, kHits };
+enum Part { kTrails, kSights, kRuns, kIndex, kHits };
 
 using Ranges = std::vector<std::pair<uint32_t, uint32_t>>;
 Ranges rangesOf(const Contents& contents, std::span<const uint64_t> met) {
@@ -93,7 +93,7 @@ Ranges rangesOf(const Contents& contents, std::span<const uint64_t> met) {
 }
 
 void putRows(std::array<ByteWriter, kParts>& out, const HitRows& rows, const Ranges& ranges) {
-  putSeen(out[kSeen], rows);
+  putSeen(out[kSights], rows);
   for (size_t i = 0; i < rows.patches(); ++i) {
     putVarint(out[kRuns], rows.start[i + 1] - rows.start[i]);
     size_t range = 0, last_range = 0;
@@ -107,7 +107,7 @@ void putRows(std::array<ByteWriter, kParts>& out, const HitRows& rows, const Ran
       for (uint32_t last = ranges[range].first; k < end; ++k) {
         putVarint(out[kIndex], rows.column[k] - last);
         last = rows.column[k];
-        putVarint(out[kHits], rows.count[k]);
+        putHits(out[kHits], rows, k);
       }
     }
   }
@@ -123,7 +123,7 @@ struct UnitFile {
 // What putRows() wrote. ranges: null where patches may have changed since: what comes out is of no use then. False where it is not what putRows()
 // writes.
 bool takeRows(UnitFile& file, const Ranges* ranges, HitRows& rows) {
-  if (!takeSeen(file.in[kSeen], file.raw[kSeen], rows)) return false;
+  if (!takeSeen(file.in[kSights], file.raw[kSights], rows)) return false;
   rows.start.push_back(0);
   for (size_t i = 0; i < rows.patches(); ++i) {
     const uint64_t entries = takeVarint(file.in[kRuns]);
@@ -137,7 +137,7 @@ bool takeRows(UnitFile& file, const Ranges* ranges, HitRows& rows) {
         column += takeVarint(file.in[kIndex]);
         if (column >= end || !file.in[kIndex].ok()) return false;
         rows.column.push_back(static_cast<uint32_t>(column));
-        rows.count.push_back(static_cast<uint16_t>(takeVarint(file.in[kHits])));
+        takeHits(file.in[kHits], rows);
       }
     }
     rows.start.push_back(rows.column.size());

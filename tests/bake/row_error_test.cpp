@@ -10,6 +10,7 @@
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
 #include "bake/light/form_factor.h"
+#include "bake/matrix/pool.h"
 #include "formats/read/reader.h"
 #include "tests/support/analytic_scenes.h"
 #include "tests/support/random_world.h"
@@ -18,16 +19,22 @@
 namespace ff::bake {
 namespace {
 
-// What a row brings of each made-up light and the sky, by patch.
+// What a pooled row brings of each made-up light and the sky, by patch.
 using Brought = std::vector<std::array<double, MadeUpLight::kLights>>;
-Brought broughtBy(const HitRows& rows, const MadeUpLight& light) {
-  Brought brought(rows.rays.size());
-  for (size_t i = 0; i < brought.size(); ++i)
+Brought broughtBy(const HitRows& rows, const PatchSet& set, const MadeUpLight& light) {
+  std::vector<float> areas;
+  for (const Patch& p : set.patches) areas.push_back(p.area_m2);
+  const PooledPatches pooled(rows, areas);
+  Brought brought(areas.size());
+  ExchangeRow row;
+  for (uint32_t i = 0; i < brought.size(); ++i) {
+    pooled.row(i, row);
     for (size_t l = 0; l < MadeUpLight::kLights; ++l) {
-      double sum = rows.sky[i];
-      for (uint64_t k = rows.start[i]; k < rows.start[i + 1]; ++k) sum += light.shines(rows.column[k], l) ? rows.count[k] : 0;
-      brought[i][l] = sum / rows.rays[i];
+      double sum = row.sky_m2;
+      for (size_t k = 0; k < row.column.size(); ++k) sum += light.shines(row.column[k], l) ? row.area_m2[k] : 0;
+      brought[i][l] = sum / row.total_m2();
     }
+  }
   return brought;
 }
 
@@ -53,13 +60,13 @@ TEST(RowError, IsWhatSixteenTimesAsManyRaysSay) {
   ASSERT_TRUE(set);
   const MadeUpLight light(*set);
   WorkCount done;
-  for (const float target : {0.03f, 0.015f}) {
+  for (const float target : {0.012f, 0.006f}) {
     const HitRows rows = castRows(scene, *set, *caster, {16384, target}, 1, done);
     const auto n = static_cast<double>(rows.rays.size());
     const double mean = std::accumulate(rows.rays.begin(), rows.rays.end(), 0.0) / n;
     const double said = std::sqrt(std::accumulate(rows.square_error.begin(), rows.square_error.end(), 0.0) / n);
-    const Brought truth = broughtBy(castRows(scene, *set, *caster, static_cast<uint32_t>(16 * mean), 77, done), light);
-    const double off = difference(broughtBy(rows, light), truth);
+    const Brought truth = broughtBy(castRows(scene, *set, *caster, static_cast<uint32_t>(16 * mean), 77, done), *set, light);
+    const double off = difference(broughtBy(rows, *set, light), truth);
     std::cout << "asked for " << target << ": " << mean << " rays a patch, " << said << " said, " << off << " measured\n";
     EXPECT_LT(off, 1.1 * static_cast<double>(target));
     EXPECT_NEAR(said, off, 0.2 * off);
@@ -77,16 +84,15 @@ TEST(RowError, IsZeroWhereTheHalvesAgreeAndLargeWhereTheyDoNot) {
   RowError error(light);
   uint32_t some = 0;  // a patch that shines in some of the lights
   while (!light.shines(some, 0)) ++some;
-  for (const int half : {0, 1}) error.hit(half, some);
+  error.add(some, {1, 1}, {1, 1});
   EXPECT_EQ(error.square(2), 0);
   error.clear();
-  error.hit(0, some);
-  error.hit(0, some);
+  error.add(some, {2, 0}, {2, 0});
   double lit = 0;
   for (size_t l = 0; l < MadeUpLight::kLights; ++l) lit += light.shines(some, l) / static_cast<double>(MadeUpLight::kLights);
-  EXPECT_NEAR(error.square(2), lit * 4 / std::pow(std::max(2 * lit, 2 * RowError::kFloor), 2), 1e-6);
+  EXPECT_NEAR(error.square(2), RowError::kPooled * lit * 4 / std::pow(std::max(2 * lit, 2 * RowError::kFloor), 2), 1e-6);
   error.clear();
-  error.hit(0, some);  // and 999 that end on nothing
+  error.add(some, {1, 0}, {1, 0});  // and 999 that end on nothing
   EXPECT_LT(error.square(1000), 1e-4);
 }
 

@@ -32,31 +32,44 @@ TEST(Pool, ExchangeAreasAreSymmetricAndPoolAllHits) {
   const CastScene c = room();
   const auto n = static_cast<uint32_t>(c.set.patches.size());
   const PooledPatches pooled(c.rows, areasOf(c));
-  std::map<std::pair<uint32_t, uint32_t>, uint32_t> hits;
+  struct Hits {
+    uint32_t count = 0, estimate = 0;
+    bool whole = false;
+    double rays() const { return estimate > 0 ? estimate / kRayParts : count; }
+  };
+  std::map<std::pair<uint32_t, uint32_t>, Hits> hits;
   for (uint32_t i = 0; i < n; ++i)
-    for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) hits[{i, c.rows.column[k]}] = c.rows.count[k];
+    for (uint64_t k = c.rows.start[i]; k < c.rows.start[i + 1]; ++k) hits[{i, c.rows.column[k]}] = {c.rows.count[k], c.rows.estimate[k], c.rows.whole[k] > 0};
   std::map<std::pair<uint32_t, uint32_t>, double> exchange;
   ExchangeRow row;
   for (uint32_t i = 0; i < n; ++i) {
     pooled.row(i, row);
     for (size_t k = 0; k < row.column.size(); ++k) exchange[{i, row.column[k]}] = row.area_m2[k];
   }
+  int counted = 0, one_end = 0, both = 0;
   for (const auto& [pair, x] : exchange) {
     const auto [i, j] = pair;
     const double a = static_cast<double>(c.set.patches[i].area_m2), b = static_cast<double>(c.set.patches[j].area_m2);
-    const uint32_t sum = hits[{i, j}] + hits[{j, i}];
-    EXPECT_DOUBLE_EQ(x, sum / (512 / a + 512 / b));
+    const Hits of_i = hits[pair], of_j = hits[{j, i}];
+    const double density_i = of_i.estimate > 0 ? 512 / a : 0, density_j = of_j.estimate > 0 ? 512 / b : 0;  // of the ends where geometry tells
+    const double expected = of_i.whole || of_j.whole ? (of_i.estimate + of_j.estimate) / kRayParts / (density_i + density_j)
+                                                     : (of_i.rays() + of_j.rays()) / (512 / a + 512 / b);
+    EXPECT_DOUBLE_EQ(x, expected);
     EXPECT_DOUBLE_EQ(x, exchange.at({j, i}));
+    counted += of_i.estimate + of_j.estimate == 0;
+    EXPECT_EQ(of_i.whole || of_j.whole, of_i.estimate + of_j.estimate > 0) << "in an empty room";
+    one_end += (of_i.estimate > 0) != (of_j.estimate > 0);
+    both += of_i.estimate > 0 && of_j.estimate > 0;
   }
-  for (const auto& [pair, count] : hits) {
-    EXPECT_TRUE(count == 0 || exchange.contains(pair));
-  }
+  for (const auto& [pair, of] : hits) EXPECT_TRUE(of.count == 0 || exchange.contains(pair));
+  EXPECT_GT(std::min({counted, one_end, both}), 100);  // of each kind
 }
 
 TEST(Pool, HalvesTheVarianceOfARow) {
   // Between two equal facing patches both ends cast the same number of rays; the error of many pooled estimates against
   // a 64 times finer one shrinks by about the square root of two.
-  const CastScene coarse = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 256), fine = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 16384, 9);
+  CastScene coarse = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 256), fine = cast(closedBox({.5f, .5f, .5f}, {}), 0.25f, 16384, 9);
+  for (CastScene* c : {&coarse, &fine}) c->rows = counts(c->rows);  // as if geometry told nothing
   const PooledPatches pooled(coarse.rows, areasOf(coarse)), truth(fine.rows, areasOf(fine));
   double raw_error = 0, pooled_error = 0;
   ExchangeRow p, t;
@@ -367,6 +380,8 @@ TEST(Pool, RowsDoNotDependOnBucketsNorOnTheOrderOfRanges) {
       for (uint64_t k = c.rows.start[p]; k < c.rows.start[p + 1]; ++k) {
         part.column.push_back(c.rows.column[k]);
         part.count.push_back(c.rows.count[k]);
+        part.estimate.push_back(c.rows.estimate[k]);
+        part.whole.push_back(c.rows.whole[k]);
       }
       part.start.push_back(part.column.size());
     }
@@ -397,12 +412,10 @@ TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
   const Hierarchy h = makeHierarchy(c.set.patches, sky);
   ASSERT_GE(h.levels(), 2u);
   const PooledPatches pooled(c.rows, areasOf(c));
-  std::vector<double> density(pooled.nodes());
   std::vector<NodeRow> patches(pooled.nodes());  // by node
   for (uint32_t p = 0; p < pooled.nodes(); ++p) {
     NodeRow& row = patches[h.number[p]];
     row.node.area_m2 = c.set.patches[p].area_m2;
-    density[h.number[p]] = c.rows.rays[p] / static_cast<double>(row.node.area_m2);
     row.direct.fill(static_cast<float>(p));
     ExchangeRow by_patch;
     pooled.row(p, by_patch);
@@ -414,9 +427,9 @@ TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
     }
   }
   Spill spill("/nowhere/spill", uint64_t{1} << 30);
-  LevelRows level0(h.tile_start[0].size() - 1, density, spill), level1(h.tile_start[1].size() - 1, {}, spill);
+  LevelRows level0(h.tile_start[0].size() - 1, spill), level1(h.tile_start[1].size() - 1, spill);
   for (uint32_t t = 0; t + 1 < h.tile_start[0].size(); ++t)
-    level0.put(t, h.tile_start[0][t], std::span(patches).subspan(h.tile_start[0][t], h.tile_start[0][t + 1] - h.tile_start[0][t]));
+    level0.put(t, std::span(patches).subspan(h.tile_start[0][t], h.tile_start[0][t + 1] - h.tile_start[0][t]));
   std::map<std::pair<uint32_t, uint32_t>, double> expected;
   std::vector<double> area(h.nodes[1]), direct(h.nodes[1]), reflected(h.nodes[1]);
   std::vector<LightValues> light(patches.size());

@@ -32,7 +32,7 @@ bool equal(const HitRows& a, const HitRows& b) {
     for (size_t k = 0; k < a.lamps[i].size(); ++k)
       if (a.lamps[i][k].group != b.lamps[i][k].group || a.lamps[i][k].rgb != b.lamps[i][k].rgb) return false;
   }
-  return a.rays == b.rays && a.start == b.start && a.column == b.column && a.count == b.count && a.sky == b.sky && a.absorbed == b.absorbed &&
+  return a.rays == b.rays && a.start == b.start && a.column == b.column && a.count == b.count && a.estimate == b.estimate && a.whole == b.whole && a.sky == b.sky && a.absorbed == b.absorbed &&
          a.buried == b.buried && a.narrow == b.narrow && same_bytes(a.sky_fraction, b.sky_fraction) && same_bytes(a.square_error, b.square_error) && same_bytes(a.sky_means, b.sky_means) && same_bytes(a.leaks, b.leaks);
 }
 
