@@ -19,6 +19,7 @@
 #include "bake/cleanup/scene_names.h"
 #include "bake/cleanup/slivers.h"
 #include "bake/estimate.h"
+#include "bake/light/row_error.h"
 #include "bake/light/form_factor.h"
 #include "bake/matrix/patch_rows.h"
 #include "bake/matrix/pyramid.h"
@@ -59,8 +60,7 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   return {};
 }
 
-// BakeSettings::target_error is twice a standard deviation.
-RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settings.target_error / 2}; }
+RayBudget budgetOf(const BakeSettings& settings) { return {settings.rays, settings.target_error / kNearlyAll}; }
 
 // Where surfaces overlap, rays from one end of a pair meet what those from the other do not, and the pooled row does not add up: a
 // free detector. Off by more than a fifth, or four times the noise of few rays, on so much of the surface, it is worth a line.
@@ -341,7 +341,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     set.patches[i].area_m2 *= sight.exposed();
   }
   stats.mean_rays = static_cast<uint32_t>(stats.rays / n);
-  stats.row_error = 2 * static_cast<float>(std::sqrt(square_error / static_cast<double>(n)));
+  stats.row_error = kNearlyAll * static_cast<float>(std::sqrt(square_error / static_cast<double>(n)));
   stats.cast_rays = stats.rays - stats.cached.clean_rays;
   stats.area_m2 = set.area_m2 - stats.buried_fraction;
   stats.buried_fraction = (stats.buried_fraction + set.sealed_m2) / (set.area_m2 + set.sealed_m2);

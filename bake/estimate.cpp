@@ -25,7 +25,7 @@ constexpr double kBytesAPiece = 200, kBytesATriangle = 215, kBytesAPatch = 140, 
 constexpr double kLeastBytes = 64e6, kLeastAPatch = 20, kLeastAThread = 8e6;  // never in files; reckoned
 constexpr double kDiskAPatch = 130, kDiskAQuantum = 0.25;
 constexpr double kSurelyOnDisk = 0.5;  // of the estimate
-constexpr double kRaysAtError = 2200, kErrorAsked = 0.02, kRaysByError = 1.5;  // an error, and how rays rise for less of it
+constexpr double kRaysAtError = 1100, kErrorAsked = 0.02, kRaysByError = 1.4;  // an error, and how rays rise for less of it
 constexpr double kRaysASecond = 1.1e6;  // of one core, over the whole bake
 
 std::string rounded(double x, const char* unit = "") {

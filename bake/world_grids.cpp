@@ -5,6 +5,8 @@
 
 #include <cmath>
 
+#include "bake/light/row_error.h"
+
 namespace ff::bake {
 namespace {
 
@@ -38,7 +40,7 @@ Result<void> writeWorldGrids(const std::string& path, std::span<const GridPatch>
     occupied.setValueOn(openvdb::Coord(cell[0] >> formats::kChunkLog, cell[1] >> formats::kChunkLog, cell[2] >> formats::kChunkLog));
   }
   for (auto cell = errors->beginValueOn(); cell; ++cell)
-    cell.setValue(2 * std::sqrt(*cell / static_cast<float>(count.getValue(cell.getCoord()))));
+    cell.setValue(kNearlyAll * std::sqrt(*cell / static_cast<float>(count.getValue(cell.getCoord()))));
   openvdb::io::File file(path);
   file.write({counts, errors, chunks});
   file.close();

@@ -18,7 +18,7 @@ struct GridPatch {
 };
 
 // Writes a .vdb file of three grids: `patches` (int32), how many patches lie in each cell of level 0; `error` (float), how far the light that rays bring
-// them is off, relative, twice the root mean square of its standard deviations; `chunks` (mask), the occupied chunks of level 0, a voxel each. All in
+// them is off, relative, at most, for 99 of 100 (light/row_error.h); `chunks` (mask), the occupied chunks of level 0, a voxel each. All in
 // metres of the source's world space. patches: in any order. Errors: kIo.
 Result<void> writeWorldGrids(const std::string& path, std::span<const GridPatch> patches, float cell_m, const std::array<double, 3>& origin);
 

@@ -190,8 +190,8 @@ struct WorldInfo {
   Box bounds;                    // m
   uint32_t rays = 0;             // per patch, on average
   uint32_t fewest_rays = 0;      // of any patch
-  float target_error = 0;        // that rays were cast for: twice the standard deviation of a row's light; 0: all patches cast as many
-  float row_error = 0;           // the same, as measured: root mean square over patches, rays alone
+  float target_error = 0;        // that rays were cast for, of the light of 99 of 100 rows at most, relative; 0: all patches cast as many
+  float row_error = 0;           // the same, as measured, by the rays themselves
   uint8_t preview = 0;           // 1: baked in seconds to look at, with few large patches and few rays
   uint32_t quanta = 0;           // Q: samples of a row, by rule; see maxRowQuanta
   uint64_t seed = 0;

@@ -101,7 +101,7 @@ int run(int argc, char** argv) {
   CLI::Option* preview = app.add_flag("--preview", settings.preview,
                                       "in seconds, to look at: 10k patches, 128 rays and samples, unless these are given; the world says that it is one");
   std::string target_error = "2%";
-  CLI::Option* target = app.add_option("--target-error", target_error, "rays are cast until the light that a patch gets errs by less, twice its standard deviation")
+  CLI::Option* target = app.add_option("--target-error", target_error, "rays are cast until the light that 99 of 100 patches get errs by less")
                             ->capture_default_str();
   CLI::Option* rays = app.add_option("--rays", settings.rays, "so many rays per patch instead, 1 to 65535; with --target-error at most so many")
                           ->default_str("16384 at most");

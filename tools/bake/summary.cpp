@@ -86,7 +86,7 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
                s.merged_patches[2]);
   fmt::print("  sky {:.1f} %, absorbed by back faces {:.2f} % of all light paths; {:.1f} % of the surface lies inside solids\n",
              s.sky_fraction * 100, s.absorbed_fraction * 100, s.buried_fraction * 100);
-  fmt::print("  {} rays a patch (at least {}), which leave an error of {:.2g} % in the light that a patch gets (two standard deviations)\n", s.mean_rays, s.fewest_rays,
+  fmt::print("  {} rays a patch (at least {}), which leave an error of at most {:.2g} % in the light that 99 of 100 patches get\n", s.mean_rays, s.fewest_rays,
              static_cast<double>(s.row_error) * 100);
   fmt::print("  {:.1f} s, {:.2f} million rays a second over the whole bake; {:.2g} GB of memory at most", s.seconds,
              static_cast<double>(s.cast_rays) * 1e-6 / s.seconds, static_cast<double>(peakBytes()) * 1e-9);

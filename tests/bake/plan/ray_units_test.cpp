@@ -117,6 +117,31 @@ TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
   EXPECT_GT(stale, 0u);
 }
 
+// What rays stand for goes by all of a patch that they meet, also where they do not come.
+TEST(RayUnits, AfterAChangeAtTheFarEndOfALargePatchGiveWhatAllRaysWouldFind) {
+  const formats::TemporaryFolder folder;
+  const auto scene = [](bool whole) {
+    Scene s;
+    const uint32_t ground = test::addMaterial(s, {.5f, .5f, .5f}), hood = test::addMaterial(s, {.5f, .5f, .5f});
+    s.materials[ground].density = 0.125f;  // patches of 8 cells
+    test::addQuad(s, {1, 0, 0}, {1, 0, 8}, {8, 0, 8}, {8, 0, 0}, ground);
+    if (whole) test::addQuad(s, {0, 0, 0}, {0, 0, 8}, {1, 0, 8}, {1, 0, 0}, ground);
+    const auto p = [](int x, int y, int z) { return Vec3{x ? 6.9f : 5.1f, y ? 1.0f : 0.01f, z ? 6.9f : 5.1f}; };  // a little above the ground, seen from inside
+    test::addQuad(s, p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1), hood);
+    test::addQuad(s, p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1), hood);
+    test::addQuad(s, p(1, 0, 0), p(1, 0, 1), p(1, 1, 1), p(1, 1, 0), hood);
+    test::addQuad(s, p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0), hood);
+    test::addQuad(s, p(0, 0, 1), p(0, 1, 1), p(1, 1, 1), p(1, 0, 1), hood);
+    return s;
+  };
+  const auto cache = cacheIn(folder.file("cache"));
+  const Cast before = castBoth(scene(true), 1, *cache, "whole ground");
+  EXPECT_GT(std::count_if(before.rows.estimate.begin(), before.rows.estimate.end(), [](uint32_t e) { return e > 0; }), 0);
+  const Cast after = castBoth(scene(false), 1, *cache, "less ground");
+  EXPECT_EQ(before.rows.rays.size(), after.rows.rays.size());
+  EXPECT_EQ(after.counts.missing, 1u);  // the ground itself
+}
+
 TEST(RayUnits, CastAgainOnlyTheGroupsThatAnEditMeets) {
   const formats::TemporaryFolder folder;
   Scene scene;
