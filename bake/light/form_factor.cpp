@@ -126,7 +126,7 @@ void RowCaster::State::tell(uint32_t patch, uint32_t rays, Scratch& s) const {
     s.other.assign(set, e.patch);
     const std::optional<double> exchange = unoccludedExchange(s.shape, s.other);
     const double expected = exchange ? *exchange / s.shape.area_m2 * rays : 0;
-    if (expected < kLeastExpected) continue;
+    if (!(expected >= kLeastExpected)) continue;
     const RayFan::Share share = s.fan.towards(e.patch, s.other, expected);
     if (!(share.all() ? isLikely(e.count(), expected) : share.isLikely())) continue;
     const double seen = share.all() ? 1 : static_cast<double>(share.there[0] + share.there[1]) / (share.towards[0] + share.towards[1]);

@@ -2,7 +2,7 @@
 //   X_ij = int_Ai int_Aj cos(i) cos(j) / (pi r^2) dAj dAi,  m2; over A_i it is the form factor F_ij.
 // From points of the smaller patch towards the larger one: near by in closed form, along the border of what lies above the horizon (Johann Heinrich Lambert,
 // Photometria, 1760; Daniel R. Baum, Holly E. Rushmeier, James M. Winget. Improving radiosity solutions through the use of analytically determined
-// form-factors. SIGGRAPH 1989), farther off from points to points. Within 1 % for neighbours, 2 % for those that meet at an edge and farther ones (tests).
+// form-factors. SIGGRAPH 1989), farther off from points to points. Within 1 % (tests).
 #pragma once
 #include <array>
 #include <cstddef>
