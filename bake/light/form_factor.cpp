@@ -64,7 +64,7 @@ struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
         : met(s.budget.rays), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
-          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), error(s.light), leaks(s.set.cell_m) {}
+          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), leaks(s.set.cell_m) {}
 
     // The first so many points' rays and hits.
     void castFrom(size_t n) {
@@ -83,7 +83,6 @@ struct RowCaster::State {
     RayCaster caster;                // leaves the trail of the group
     LampLight lamps;
     SightMap sight;
-    RowError error;
     LeakSums leaks;                  // of the group
   };
 
@@ -97,8 +96,8 @@ struct RowCaster::State {
   const MadeUpLight light;
   tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
 
-  // What the rays stand for that hit other patches.
-  void tell(uint32_t patch, uint32_t rays, Scratch& s) const;
+  // What the rays that hit other patches stand for; so many reach the sky. Returns RowError::square() of the row.
+  double tell(uint32_t patch, uint32_t rays, uint32_t sky, Scratch& s) const;
 
   // Of a group.
   uint32_t raysFor(uint32_t first, uint32_t end, Scratch& s) const;
@@ -116,7 +115,7 @@ HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount
   return state_->cast(first, end, *scratch, done);
 }
 
-void RowCaster::State::tell(uint32_t patch, uint32_t rays, Scratch& s) const {
+double RowCaster::State::tell(uint32_t patch, uint32_t rays, uint32_t sky, Scratch& s) const {
   const Patch& from = set.patches[patch];
   s.shape.assign(set, patch);
   s.fan.assign(s.shape, from.normal, std::span(s.rays).first(rays), std::span(s.met).first(rays));
@@ -135,8 +134,10 @@ void RowCaster::State::tell(uint32_t patch, uint32_t rays, Scratch& s) const {
     e.estimate = expected * seen;
     e.whole = share.all();
   }
-  s.error.clear();
-  for (const RowHits::Entry& e : s.hit_patches.entries()) s.error.add(e.patch, e.hits, e.stand_for);
+  RowError error(light);
+  for (const RowHits::Entry& e : s.hit_patches.entries()) error.add(e.patch, e.hits, e.stand_for);
+  error.sky(sky);
+  return error.square(rays);
 }
 
 // From the errors of a few of them with few rays.
@@ -156,11 +157,9 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
       const Hit& hit = s.hits[k];
       s.met[k] = kNone;
       if (hit.triangle == kNone) ++sky;
-      else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.hit_patches.add(s.met[k] = j, 2 * k >= kLeastRays);
+      else if (const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point); j < set.patches.size()) s.hit_patches.add(s.met[k] = j, k);
     }
-    tell(patch, kLeastRays, s);
-    s.error.sky(sky);
-    square += s.error.square(kLeastRays);
+    square += tell(patch, kLeastRays, sky, s);
   }
   const double off = std::sqrt(square / tried) / static_cast<double>(budget.target_error);
   uint32_t rays = kLeastRays;  // and half as many again, and so on: Sobol points are best by powers of two
@@ -219,17 +218,15 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
         if (!buried && !hit.front) s.leaks.add({hit.point, set.patches[patch].area_m2 / static_cast<float>(rays)});
         continue;
       }
-      s.hit_patches.add(s.met[k] = j, 2 * k >= rays);
+      s.hit_patches.add(s.met[k] = j, k);
       if (lamps.leafOf(j) != kNone) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
     }
     for (auto* reached : {&sky.look, &sky.main})
       for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
     for (const uint32_t hits : near) if (hits > kMaxRays * rays) ++rows.narrow[i];
     if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
-    tell(patch, rays, s);
+    rows.square_error[i] = static_cast<float>(tell(patch, rays, rows.sky[i], s));
     const std::span<RowHits::Entry> entries = s.hit_patches.entries();
-    s.error.sky(rows.sky[i]);
-    rows.square_error[i] = static_cast<float>(s.error.square(rays));
     std::sort(entries.begin(), entries.end(), [](const RowHits::Entry& a, const RowHits::Entry& b) { return a.patch < b.patch; });
     for (const RowHits::Entry& e : entries) {
       rows.column.push_back(e.patch);

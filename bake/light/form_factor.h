@@ -56,7 +56,8 @@ class RowCaster {
   // All outlive it.
   RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed);
   ~RowCaster();
-  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, by rays. trail: where the rays go is added to it; may be null. done: counts patches.
+  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, by rays. trail: where the
+  // rays go is added to it; may be null. done: counts patches.
   HitRows cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const;
 
  private:

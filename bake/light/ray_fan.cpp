@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "bake/light/row_hits.h"
+
 namespace ff::bake {
 namespace {
 
@@ -17,8 +19,8 @@ int RayFan::binAt(double x) { return std::clamp(static_cast<int>((x + 1) * (kSid
 
 void RayFan::assign(const PatchShape& from, Vec3 normal, std::span<const Ray> rays, std::span<const uint32_t> met) {
   const size_t n = rays.size();
-  half_ = (n + 1) / 2;
-  frame_ = frameOf(normalized(normal));
+  half_ = firstHalf(n);
+  frame_ = frameOf(normal);
   centre_ = from.centre;
   radius_m_ = from.radius_m;
   bin_.resize(n);

@@ -17,7 +17,7 @@ bool isLikely(uint32_t found, double expected);
 
 class RayFan {
  public:
-  // met: by ray, the patch that it ends on; kNone: none.
+  // normal: the patch's. met: by ray, the patch that it ends on; kNone: none.
   void assign(const PatchShape& from, Vec3 normal, std::span<const Ray> rays, std::span<const uint32_t> met);
 
   // Rays of the first and of the second half.

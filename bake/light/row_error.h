@@ -29,12 +29,6 @@ class MadeUpLight {
 class RowError {
  public:
   explicit RowError(const MadeUpLight& light) : light_(light) {}
-  void clear() {
-    lit_ = {};
-    rays_ = {};
-    stand_for_ = {};
-    sky_ = 0;
-  }
   // Rays of the first and of the second half that end on a patch, and how many they stand for.
   void add(uint32_t patch, std::array<uint32_t, 2> rays, std::array<double, 2> stand_for) {
     for (size_t half = 0; half < 2; ++half) {

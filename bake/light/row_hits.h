@@ -2,6 +2,7 @@
 #pragma once
 #include <array>
 #include <bit>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -10,6 +11,9 @@
 #include "bake/scene.h"
 
 namespace ff::bake {
+
+// Of the rays of a row, those of the first half.
+inline size_t firstHalf(size_t rays) { return (rays + 1) / 2; }
 
 class RowHits {
  public:
@@ -23,10 +27,12 @@ class RowHits {
   };
 
   void begin(size_t rays) {
+    half_ = firstHalf(rays);
     place_.assign(std::bit_ceil(2 * rays), kNone);
     entries_.clear();
   }
-  void add(uint32_t patch, int half) {
+  // A ray, by its number, that ends on a patch.
+  void add(uint32_t patch, size_t ray) {
     size_t at = mix64(patch) & (place_.size() - 1);
     while (place_[at] != kNone && entries_[place_[at]].patch != patch) at = (at + 1) & (place_.size() - 1);
     uint32_t& place = place_[at];
@@ -34,11 +40,12 @@ class RowHits {
       place = static_cast<uint32_t>(entries_.size());
       entries_.push_back({patch});
     }
-    ++entries_[place].hits[static_cast<size_t>(half)];
+    ++entries_[place].hits[ray >= half_];
   }
   std::span<Entry> entries() { return entries_; }  // may be sorted once all are added
 
  private:
+  size_t half_ = 0;              // rays of the first
   std::vector<uint32_t> place_;  // by hash, in entries_
   std::vector<Entry> entries_;
 };

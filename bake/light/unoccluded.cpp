@@ -28,7 +28,7 @@ constexpr QuadraturePoint kThreePoints[] = {{2.0 / 3, 1.0 / 6, 1.0 / 6, 1.0 / 3}
 constexpr double kA = 0.059715871789770, kB = 0.470142064105115, kC = 0.797426985353087, kD = 0.101286507323456;
 constexpr double kInner = 0.132394152788506, kOuter = 0.125939180544827;
 constexpr QuadraturePoint kSevenPoints[] = {{1.0 / 3, 1.0 / 3, 1.0 / 3, 0.225}, {kA, kB, kB, kInner}, {kB, kA, kB, kInner}, {kB, kB, kA, kInner},
-                           {kC, kD, kD, kOuter}, {kD, kC, kD, kOuter}, {kD, kD, kC, kOuter}};
+                                            {kC, kD, kD, kOuter}, {kD, kC, kD, kOuter}, {kD, kD, kC, kOuter}};
 
 // f(point, area that it stands for) for all points of a facet, triangle by triangle.
 template <class F>

@@ -1,8 +1,8 @@
 // Reciprocity pooling: A_i F_ij = A_j F_ji, so rays from both ends estimate one exchange area
 //   X_ij = (h_ij + h_ji) / (rays_i/A_i + rays_j/A_j),
-// all hits over the pooled density of rays, or what geometry says they stand for (HitRows::estimate). Where all rays towards the other patch get there, none at the
-// other end means that by chance none was cast: X_ij is of the ends alone where geometry tells. Sky, absorption and lamps' light are known from one end only. A_i is the whole area that rays
-// start from.
+// all hits over the pooled density of rays, or what geometry says they stand for (HitRows::estimate). Where all rays towards the other patch get
+// there, none at the other end means that by chance none was cast: X_ij is of the ends alone where geometry tells. Sky, absorption and lamps' light are
+// known from one end only. A_i is the whole area that rays start from.
 //
 // What rays from one end hit is wanted at the other: hits are sorted by the node that they are wanted at in two passes, through buckets of
 // nodes that follow each other, of which one at a time is in memory.

@@ -85,19 +85,17 @@ TEST(RowError, IsZeroWhereTheHalvesAgreeAndLargeWhereTheyDoNot) {
   const auto set = makePatches(scene, {.cell_m = 0.25f});
   ASSERT_TRUE(set);
   const MadeUpLight light(*set);
-  RowError error(light);
   uint32_t some = 0;  // a patch that shines in some of the lights
   while (!light.shines(some, 0)) ++some;
-  error.add(some, {1, 1}, {1, 1});
-  EXPECT_EQ(error.square(2), 0);
-  error.clear();
-  error.add(some, {2, 0}, {2, 0});
+  RowError agree(light), differ(light), one(light);
+  agree.add(some, {1, 1}, {1, 1});
+  EXPECT_EQ(agree.square(2), 0);
+  differ.add(some, {2, 0}, {2, 0});
   double lit = 0;
   for (size_t l = 0; l < MadeUpLight::kLights; ++l) lit += light.shines(some, l) / static_cast<double>(MadeUpLight::kLights);
-  EXPECT_NEAR(error.square(2), RowError::kPooled * lit * 4 / std::pow(std::max(2 * lit, 2 * RowError::kFloor), 2), 1e-6);
-  error.clear();
-  error.add(some, {1, 0}, {1, 0});  // and 999 that end on nothing
-  EXPECT_LT(error.square(1000), 1e-4);
+  EXPECT_NEAR(differ.square(2), RowError::kPooled * lit * 4 / std::pow(std::max(2 * lit, 2 * RowError::kFloor), 2), 1e-6);
+  one.add(some, {1, 0}, {1, 0});  // and 999 that end on nothing
+  EXPECT_LT(one.square(1000), 1e-4);
 }
 
 TEST(RowError, TheManifestHoldsWhatWasAskedForAndMeasured) {
