@@ -110,13 +110,13 @@ void PathPlanner::work() {
   auto plan = std::make_unique<Plan>();
   for (uint32_t done = 0;;) {
     aims_.wait(done);
-    if (stop_) return;
     Aim aim;
     {
       const std::lock_guard lock(mutex_);
       aim = aim_;
       done = aims_.load();
     }
+    if (stop_) return;  // looked at last: the destructor's own step of aims_ is waited for by nobody
     plan->tiles.clear();
     plan->by_id.clear();
     plan->chunks.clear();

@@ -394,6 +394,17 @@ TEST(ForetoldPath, IsALineWithoutATurnAndACircleWithOne) {
   for (const Vec3 at : circle) EXPECT_NEAR(length(at - Vec3{0, 0, -10}), 10, 0.02f);
 }
 
+// Whatever its thread does at the time, and however the last aim and the end run into one another.
+TEST_F(StreamerTest, APlannerThatHasJustBeenAimedEnds) {
+  const Observers observers{Observer{{32, 1, 32}, {10, 0, 0}}};
+  for (int i = 0; i < 4000; ++i) {
+    PathPlanner planner(*world_, kNoHistory, {});
+    const auto until = std::chrono::steady_clock::now() + std::chrono::nanoseconds(50 * i);
+    do planner.aim(observers, {}, 0, 0);
+    while (std::chrono::steady_clock::now() < until);
+  }
+}
+
 TEST(TurnRate, FollowsATurnThatLastsAndNoCorner) {
   TurnRate turns;
   const auto heading = [](float angle) { return Vec3{std::cos(angle), 0, -std::sin(angle)} * 30; };
