@@ -9,6 +9,7 @@
 #include <system_error>
 #include <utility>
 
+#include "stream/background_streamer.h"
 #include "stream/file_source.h"
 #include "stream/path_planner.h"
 #include "stream/strip_loader.h"
@@ -73,6 +74,8 @@ class StreamerImpl final : public Streamer {
     chooseActive();
     return {};
   }
+
+  size_t maxActive() const { return wanted_.maxWanted(); }
 
   using Streamer::update;
   bool update(const Observers& observers) override {
@@ -384,7 +387,9 @@ Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, 
   if (!source) source = makeFileSource(world);
   auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top, std::move(now));
   if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
-  return std::unique_ptr<Streamer>(std::move(streamer));
+  if (!settings.background) return std::unique_ptr<Streamer>(std::move(streamer));
+  const size_t most = streamer->maxActive();
+  return inBackground(std::move(streamer), most, settings.radius_m);
 } catch (const std::system_error& e) {
   return Error{ErrorCode::kIo, world.path(), "", std::string("cannot start a thread: ") + e.what(), "close other programs, or raise the limit on processes"};
 } catch (const std::bad_alloc&) {

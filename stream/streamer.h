@@ -35,6 +35,8 @@ struct StreamSettings {
   uint64_t hint_bytes = uint64_t{16} << 20;     // of memory_bytes, at most, for what expect() names
   uint64_t read_bytes_per_second = 0;           // of strips, at most (rate_limit.h); 0: no limit. create() is not held up, and the index comes on top
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
+  bool background = false;                      // all but handing over is done on a thread of its own (background_streamer.h), so that update() brings
+                                                // what came of the call before
 };
 
 struct StreamStats {

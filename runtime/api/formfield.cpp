@@ -100,6 +100,7 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   streaming.max_level0_nodes = s.max_patches;
   streaming.max_nodes = s.max_nodes;
   streaming.decode_threads = static_cast<int>(s.decode_threads);
+  streaming.background = true;
   return streaming;
 }
 

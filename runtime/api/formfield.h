@@ -199,8 +199,8 @@ FormfieldResult formfieldSetEmission(FormfieldWorld world, uint32_t group, const
 
 /* ---- Frames ---- */
 
-/* One frame: takes what has been loaded, asks for what is missing and for what the path will need (it is foretold by `velocity`, m/s,
- * and how that turns), takes up the newest cut whose matrix is ready, which is put together on a thread of the library's own, and iterates. On a Vulkan device it submits and waits; formfieldRecord
+/* One frame: hands over where the observer is, to a thread of the library's own that asks for what is missing there and for what the path will need (it is foretold
+ * by `velocity`, m/s, and how that turns), takes up what that has found for the frame before, and the newest cut whose matrix is ready, which another thread puts together, and iterates. On a Vulkan device it submits and waits; formfieldRecord
  * (formfield_vulkan.h) does the same into the caller's command buffer. observer: m, in the scene's own world space, however far from its
  * zero that is; all positions that are floats count from FormfieldWorldInfo::origin. */
 FormfieldResult formfieldFrame(FormfieldWorld world, const double observer[3], const float velocity[3]);
@@ -274,7 +274,7 @@ typedef struct FormfieldStats {
   double stream_ms, matrix_ms, solve_ms;       /* of the last frame; solve_ms on the device's clock */
   uint64_t strips_read, bytes_read, strips_evicted, reads_cancelled, strips_failed;
   uint64_t resident_bytes, peak_resident_bytes;
-  uint32_t resident_tiles, wanted_tiles, pending_tiles;
+  uint32_t resident_tiles, wanted_tiles, pending_tiles; /* as found for the frame before; after a jump something is pending until its place was looked at */
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
   double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
                                                   (B: what surfaces reflect); negative: not measured. What fade_frames hold back counts. formfieldRecord measures multibounce only, all

@@ -72,10 +72,10 @@ class FaultySource final : public TileSource {
 
 TEST_F(FramePath, ALongWalkAllocatesAndFreesNothingOnTheThreadThatUpdates) {
   const std::vector<Vec3> places = walk(4000, 3);
-  for (const bool faulty : {false, true}) {
+  for (const auto& [faulty, background] : {std::pair(false, false), std::pair(true, false), std::pair(true, true)}) {
     auto source = makeFileSource(*world_);
     if (faulty) source = std::make_unique<FaultySource>(std::move(source));
-    const auto streamer = make({.radius_m = 8, .memory_bytes = 300000, .decode_threads = 2}, std::move(source));
+    const auto streamer = make({.radius_m = 8, .memory_bytes = 300000, .decode_threads = 2, .background = background}, std::move(source));
     // A user who shares the active strips for a while, as the runtime does.
     std::vector<StripPtr> held;
     held.reserve(world_->tiles(0).size() * 2);

@@ -99,16 +99,20 @@ class StreamerTest : public testing::Test {
 const StreamSettings kNoHistory{.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f};
 
 TEST_F(StreamerTest, SettlesOnTheTilesThatTheDefinitionNames) {
-  const auto streamer = make(kNoHistory);
-  std::mt19937_64 random(1);
-  size_t level0 = 0;
-  for (int i = 0; i < 30; ++i) {
-    const Vec3 at = randomPlace(random);
-    const auto settled = settledAt(*streamer, at);
-    ASSERT_EQ(settled, wantedByDefinition(at, 6, 1.6f));
-    level0 += settled.front().level == 0;
+  for (const bool background : {false, true}) {
+    StreamSettings settings = kNoHistory;
+    settings.background = background;
+    const auto streamer = make(settings);
+    std::mt19937_64 random(1);
+    size_t level0 = 0;
+    for (int i = 0; i < 30; ++i) {
+      const Vec3 at = randomPlace(random);
+      const auto settled = settledAt(*streamer, at);
+      ASSERT_EQ(settled, wantedByDefinition(at, 6, 1.6f));
+      level0 += settled.front().level == 0;
+    }
+    EXPECT_GT(level0, 20u);
   }
-  EXPECT_GT(level0, 20u);
 }
 
 TEST_F(StreamerTest, SettledSetWithoutHysteresisIsAFunctionOfTheObserverAlone) {
@@ -128,16 +132,25 @@ TEST_F(StreamerTest, SettledSetWithoutHysteresisIsAFunctionOfTheObserverAlone) {
 }
 
 TEST_F(StreamerTest, ActiveTilesAlwaysHaveActiveParentsAndTheTopLevelNeverLeaves) {
-  const auto streamer = make({.radius_m = 9, .hysteresis = 1.2f}, memory(3));
-  std::mt19937_64 random(4);
-  for (int i = 0; i < 300; ++i) {
-    streamer->update(randomPlace(random), {});
-    const auto active = ids(*streamer);
-    ASSERT_TRUE(std::is_sorted(active.begin(), active.end()));
-    const std::set<TileId> in(active.begin(), active.end());
-    for (const TileId id : active)
-      for (const TileId parent : parentsOf(id)) ASSERT_TRUE(in.count(parent));
-    for (const formats::TileInfo& info : world_->tiles(top())) ASSERT_TRUE(in.count(info.id));
+  for (const bool background : {false, true}) {
+    const auto streamer = make({.radius_m = 9, .hysteresis = 1.2f, .background = background}, memory(3));
+    std::mt19937_64 random(4);
+    int changes = 0;
+    Vec3 at;
+    for (int i = 0; i < 300 || (i < 10000 && changes < 100); ++i) {
+      if (i % 10 == 0) at = randomPlace(random);
+      if (streamer->update(at, {}))
+        ++changes;
+      else
+        std::this_thread::sleep_for(std::chrono::microseconds(500));
+      const auto active = ids(*streamer);
+      ASSERT_TRUE(std::is_sorted(active.begin(), active.end()));
+      const std::set<TileId> in(active.begin(), active.end());
+      for (const TileId id : active)
+        for (const TileId parent : parentsOf(id)) ASSERT_TRUE(in.count(parent));
+      for (const formats::TileInfo& info : world_->tiles(top())) ASSERT_TRUE(in.count(info.id));
+    }
+    EXPECT_GE(changes, 100);
   }
 }
 
@@ -288,15 +301,43 @@ TEST_F(StreamerTest, AStripThatFailsTwiceIsCountedAndWhatLiesBelowItStandsAlone)
 TEST_F(StreamerTest, AStripThatFailedTwiceIsTriedAgainWhileTheObserverStays) {
   const Vec3 at{30, 1, 30};
   const auto wanted = wantedByDefinition(at, 6, 1.6f);
+  for (const bool background : {false, true}) {
+    StreamSettings settings = kNoHistory;
+    settings.retry_seconds = 0.02f;
+    settings.background = background;
+    std::atomic<bool> works{false};
+    const auto streamer = make(settings, memory(1, [&](TileId id, int) { return id.level == 1 && !works ? Fate::kReadError : Fate::kGood; }));
+    EXPECT_LT(settledAt(*streamer, at).size(), wanted.size());
+    EXPECT_GT(streamer->stats().failed, 0u);
+    EXPECT_FALSE(streamer->lastFailure().empty());
+    works = true;
+    for (int tries = 0; tries < 1000 && settledAt(*streamer, at) != wanted; ++tries) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    EXPECT_EQ(ids(*streamer), wanted);
+  }
+}
+
+// As a game has it, that calls nothing but update().
+TEST_F(StreamerTest, InTheBackgroundAJumpIsPendingUntilAllIsThere) {
   StreamSettings settings = kNoHistory;
-  settings.retry_seconds = 0.02f;
-  std::atomic<bool> works{false};
-  const auto streamer = make(settings, memory(1, [&](TileId id, int) { return id.level == 1 && !works ? Fate::kReadError : Fate::kGood; }));
-  EXPECT_LT(settledAt(*streamer, at).size(), wanted.size());
-  EXPECT_GT(streamer->stats().failed, 0u);
-  works = true;
-  for (int tries = 0; tries < 1000 && settledAt(*streamer, at) != wanted; ++tries) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  EXPECT_EQ(ids(*streamer), wanted);
+  settings.background = true;
+  const auto streamer = make(settings, memory());
+  settledAt(*streamer, {10, 1, 12});
+  EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+  const Vec3 there{50, 1, 40};
+  streamer->update(there, {});
+  EXPECT_GT(streamer->stats().pending_tiles, 0u) << "nobody has looked there yet, or it is on its way";
+  for (int frames = 0; frames < 1000 && (streamer->stats().pending_tiles > 0 || ids(*streamer) != wantedByDefinition(there, 6, 1.6f)); ++frames) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    streamer->update(there, {});
+  }
+  EXPECT_EQ(ids(*streamer), wantedByDefinition(there, 6, 1.6f));
+  EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+  const auto now = std::chrono::steady_clock::now();
+  const std::array<Hint, 2> hints{Hint{{10, 1, 55}, now + std::chrono::minutes(1)}, Hint{there, now - kHintStays - std::chrono::seconds(1)}};
+  streamer->expect(hints);
+  EXPECT_EQ(settledAt(*streamer, there), wantedByDefinition(there, 6, 1.6f));
+  EXPECT_GT(streamer->stats().ahead_tiles, 5u);
+  EXPECT_EQ(streamer->expected().size(), 1u);
 }
 
 // Shards are opened when they are first read.
@@ -610,8 +651,8 @@ TEST_F(StreamerTest, AStillObserverWithNothingUnderWayCausesNoChange) {
 }
 
 TEST_F(StreamerTest, CanBeDestroyedWhileReadsAreUnderWay) {
-  for (uint64_t i = 0; i < 20; ++i) {
-    const auto streamer = make({.radius_m = 30, .decode_threads = 2}, i % 2 ? memory(i) : nullptr);
+  for (uint64_t i = 0; i < 40; ++i) {
+    const auto streamer = make({.radius_m = 30, .decode_threads = 2, .background = i % 4 < 2}, i % 2 ? memory(i) : nullptr);
     streamer->update({30, 1, 30}, {});
   }
 }

@@ -154,8 +154,11 @@ TEST_F(Formfield, WhatIsExpectedIsThereWhenTheObserverJumps) {
       frame({10, 1, 10});
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
-    frame({50, 1, 40});
-    late[expected] = stats().late_tiles;
+    late[expected] = 0;
+    for (int i = 0; i < 50; ++i) {  // the place is looked at between two of them
+      frame({50, 1, 40});
+      late[expected] = std::max(late[expected], stats().late_tiles);
+    }
     const std::vector<FormfieldPlace> many(FORMFIELD_MAX_OBSERVERS + 1);
     EXPECT_EQ(formfieldExpect(world_, FORMFIELD_MAX_OBSERVERS, many.data()), FORMFIELD_OK);
     EXPECT_EQ(formfieldExpect(world_, FORMFIELD_MAX_OBSERVERS + 1, many.data()), FORMFIELD_ERROR_USAGE);

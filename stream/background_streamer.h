@@ -1,0 +1,15 @@
+// A streamer that works on a thread of its own, so that a frame only hands over where its observers are and takes up a list that is ready.
+#pragma once
+#include <cstddef>
+#include <memory>
+
+#include "stream/streamer.h"
+
+namespace ff::stream {
+
+// What update() brings is of the observers of the call before. `of` is nobody
+// else's. max_active: tiles that are active at any time, at most. jump_m: observers who go farther at once are pending until their place was looked at.
+// Returns `of` itself where the system has no thread.
+std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active, float jump_m);
+
+}  // namespace ff::stream
