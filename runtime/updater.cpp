@@ -13,8 +13,14 @@ namespace {
 // What is reflected, to go on from after slots were given out anew: a node keeps its own, a new one takes its nearest
 // ancestor's.
 void carryOver(std::span<const SlotRange> old, std::span<const Vec4> values, const LocalMatrix& now, std::span<Vec4> carried) {
+  auto before = old.begin();
   for (size_t t = 0; t < now.tiles.size(); ++t) {
     const SlotRange& range = now.tiles[t];
+    while (before != old.end() && before->id < range.id) ++before;
+    if (before != old.end() && before->id == range.id) {
+      std::copy_n(values.begin() + before->first_slot, range.nodes, carried.begin() + range.first_slot);
+      continue;
+    }
     for (uint32_t i = 0; i < range.nodes; ++i) {
       const uint32_t slot = slotFor(old, now.packed[t].strip->tile, i);
       carried[range.first_slot + i] = slot != kNoSlot ? values[slot] : Vec4{};
@@ -24,6 +30,8 @@ void carryOver(std::span<const SlotRange> old, std::span<const Vec4> values, con
 
 constexpr float kJumpCells = 8;        // farther than an observer goes in a frame
 constexpr float kLongestFrame = 0.1f;  // s
+constexpr float kPause = 2;            // times as long as frames of late, no frame counts for more: somebody waits for something else
+constexpr float kTurns = 1;            // a streamer in the background looks at a place in one frame, and what it has found is taken up in the next
 constexpr float kFades = 1.5f;         // so that light has followed when the observer is there
 constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
@@ -40,10 +48,16 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 }
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles)
-    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background), fade_(fade), budget_(world, max_applied_tiles) {
-  for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->reserve(kMaxSlots);
-  for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->reserve(kMaxSlots);
+    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background, &entering_), fade_(fade), budget_(world, max_applied_tiles) {
+  const uint32_t most = mostSlots(world);
+  const auto take = [most](auto& per_slot) {
+    per_slot.reserve(kMaxSlots);
+    touchMemory(per_slot, most);
+  };
+  for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) take(*per_slot);
+  for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) take(*per_slot);
   tiles_before_.reserve(kMaxSlots / 16);
+  entering_.set(sky_, lamps_);
 }
 
 Result<void> Updater::setSky(const Sky& sky) {
@@ -56,6 +70,7 @@ Result<void> Updater::setSky(const Sky& sky) {
       if (const char* why = whyNoLight(std::abs(q))) return noLight("sky, quadratic", why);
   sky_ = sky;
   sky_changed_ = true;
+  entering_.set(sky_, lamps_);
   return {};
 }
 
@@ -109,12 +124,13 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   // What a frame takes, over a few of them; a pause is none.
   const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(start - frame_began_).count(), kLongestFrame);
   frame_began_ = start;
-  frame_seconds_ += (seconds - frame_seconds_) / 8;
-  streamer_.setLead(kBuilds * cut_.latencySeconds() + kFades * static_cast<float>(fade_.frames()) * frame_seconds_);
+  frame_seconds_ += frame_seconds_ == 0 ? seconds : (std::min(seconds, kPause * frame_seconds_) - frame_seconds_) / 8;
+  streamer_.setLead(kBuilds * cut_.latencySeconds() + (kFades * static_cast<float>(fade_.frames()) + kTurns) * frame_seconds_);
   streamer_.update(observers);
   if (observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers))) fade_.finish();
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
+  if (lamps_changed_) entering_.set(sky_, lamps_);
   const auto changed = followCut();
   if (!changed) return changed.error();
   if (sky_changed_ || light_changed_ || lamps_changed_)
@@ -128,7 +144,9 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(matrix(), source_, observers);
   solver_.ease(fade_.frames());
-  if (auto iterated = solver_.iterate(iterations); !iterated) return iterated.error();
+  const auto iterated = solver_.iterate(iterations);
+  cut_.begin();
+  if (!iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();
   return stats;
 }
@@ -139,6 +157,7 @@ Result<void> Updater::prepare(const formats::WorldInfo& before) {
     cut_.await();
   }
   const LocalMatrix& m = matrix();
+  tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   for (auto* tiles : {&whole_.entered, &whole_.rows}) tiles->reserve(m.tiles.size());
   // The pages of these are the system's to find now, not within a frame.
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->assign(m.slots(), {});
@@ -220,8 +239,6 @@ Result<bool> Updater::followCut() {
   const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {
     if (whole) cut_.await();
-    const auto& tiles = matrix().tiles;
-    tiles_before_.assign(tiles.begin(), tiles.end());
     if (auto followed = cut_.next(wanted); !followed) return followed.error();
     if (!cut_.change().any && !missed_) continue;
     changed = true;
@@ -252,8 +269,7 @@ Result<void> Updater::takeUpChange() {
     std::fill(emission_.begin(), emission_.end(), Vec4{});
   else
     for (const SlotRange& range : change.left) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
-  // Direct light is asked for new tiles only; the others keep theirs.
-  for (const uint32_t tile : change.entered) light(tile, true, true);
+  lightEntered(change.entered);
   ++emission_change_;
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   counts_ = {};
@@ -264,16 +280,45 @@ Result<void> Updater::takeUpChange() {
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
   fade_.follow(m, change.renumbered ? std::span<const uint32_t>() : change.entered);
 
-  const bool missed = std::exchange(missed_, true);
-  if (!carry) before_.assign(m.slots(), {});
+  tiles_before_.assign(m.tiles.begin(), m.tiles.end());
+  told_ = missed_ ? &wholeMatrix() : &change;
+  missed_ = true;
   if (!read) return read;
-  told_ = missed ? &wholeMatrix() : &change;
-  if (auto updated = solver_.update(m, *told_); !updated) return updated;
-  if (carry)
+  auto told = tellSolver(*told_, carry);
+  missed_ = !told;
+  if (!told && !carry) before_.assign(m.slots(), {});
+  return told;
+}
+
+// goes_on: from before_.
+Result<void> Updater::tellSolver(const MatrixChange& change, bool goes_on) {
+  if (auto updated = solver_.update(matrix(), change); !updated) return updated;
+  if (goes_on)
     if (auto set = solver_.setRadiosity(before_); !set) return set;
-  if (auto set = solver_.setSource(source_); !set) return set;
-  missed_ = false;
-  return {};
+  return change.renumbered || matrix().ambient_slot != kNoSlot ? solver_.setSource(source_) : solver_.setEnteredSource(source_, change);
+}
+
+// Direct light is asked for new tiles only; the others keep theirs.
+void Updater::lightEntered(std::span<const uint32_t> entered) {
+  const EnteringLight::Nodes* const made = entering_.nodes();
+  size_t at = 0;
+  for (const uint32_t tile : entered) {
+    const SlotRange& range = matrix().tiles[tile];
+    if (!made || !made->is_light) {
+      light(tile, true, true);
+      continue;
+    }
+    const auto copy = [&](const auto& from, auto& to) { std::copy_n(from.begin() + static_cast<ptrdiff_t>(at), range.nodes, to.begin() + range.first_slot); };
+    copy(made->lamps, lamp_irradiance_);
+    copy(made->emission, emission_);
+    if (direct_light_) {
+      light(tile, true, false);
+    } else {
+      std::fill_n(direct_irradiance_.begin() + range.first_slot, range.nodes, Vec3{});
+      copy(made->source, source_);
+    }
+    at += range.nodes;
+  }
 }
 
 // The matrix as a change: for a solver that does not know what it has missed.
@@ -305,7 +350,7 @@ void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
   }
   for (uint32_t i = 0; i < range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
-    Vec3 m = node.albedo * (direct[i] + lamps[i] + skyIrradiance(sky_, node));
+    Vec3 m = reflectedSource(node, sky_, direct[i], lamps[i]);
     if (!isLight(range.first_slot + i, ", with lamps and the sky,", m)) m = {};
     source_[range.first_slot + i] = {m.x, m.y, m.z, 0};
   }

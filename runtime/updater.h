@@ -11,6 +11,7 @@
 #include "runtime/cut/cut_budget.h"
 #include "runtime/cut/cut_builder.h"
 #include "runtime/cut/cut_fade.h"
+#include "runtime/entering_light.h"
 #include "runtime/lamps.h"
 #include "runtime/sky.h"
 #include "runtime/solver/converge.h"
@@ -101,6 +102,8 @@ class Updater {
  private:
   Result<bool> followCut();
   Result<void> takeUpChange();
+  void lightEntered(std::span<const uint32_t> entered);
+  Result<void> tellSolver(const MatrixChange& change, bool goes_on);
   const MatrixChange& wholeMatrix();
   void takeLight(Updater& before);
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
@@ -114,6 +117,7 @@ class Updater {
   Sky sky_;
   Lamps lamps_;
   DirectLight direct_light_;
+  EnteringLight entering_;
   CutBuilder cut_;
   CutFade fade_;
   CutBudget budget_;
@@ -123,7 +127,7 @@ class Updater {
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
   std::vector<Vec3> lamp_irradiance_;     // likewise
   std::vector<Vec4> radiosity_, before_;  // per slot; of takeUpChange(), scratch of converge()
-  std::vector<SlotRange> tiles_before_;
+  std::vector<SlotRange> tiles_before_;   // of the matrix that was taken up last
   FrameStats counts_;  // of the matrix
   uint64_t emission_change_ = 0;
   std::chrono::steady_clock::time_point frame_began_;

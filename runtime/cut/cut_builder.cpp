@@ -5,12 +5,14 @@
 #include <system_error>
 #include <utility>
 
+#include "runtime/cut/strip_list.h"
 #include "stream/latency.h"
 
 namespace ff::runtime {
 
-CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background) : front_(std::make_unique<MatrixAssembler>(world, far_light)) {
-  for (auto* cut : {&cut_, &next_cut_}) cut->reserve(kMaxSlots / 16);
+CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion)
+    : companion_(companion), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
+  for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
   if (!background) return;
   back_ = std::make_unique<MatrixAssembler>(world, far_light);
   front_->swap(shown_);
@@ -43,6 +45,7 @@ void CutBuilder::work() {
       renumbered_ = false;
       if (renumber_) back_->renumberNext();
       if (built) built = back_->update(next_cut_);
+      if (built && companion_) companion_->build(*back_);
     } catch (const std::bad_alloc&) {
       built = Error{ErrorCode::kIo, "", "", "out of memory for the local matrix", ""};
     }
@@ -55,10 +58,9 @@ void CutBuilder::work() {
 
 void CutBuilder::start(std::span<const stream::StripPtr> active) {
   started_ = std::chrono::steady_clock::now();
-  next_cut_.assign(active.begin(), active.end());
+  takeOver(next_cut_, active, spare_);
   renumber_ = std::exchange(renumber_next_, false);
   state_ = kBuilding;
-  state_.notify_one();
 }
 
 Result<void> CutBuilder::take() {
@@ -71,6 +73,7 @@ Result<void> CutBuilder::take() {
   cut_.swap(next_cut_);
   renumbered_ = renumber_;
   change_ = &front_->change();
+  if (companion_) companion_->take();
   return {};
 }
 
@@ -80,8 +83,10 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
     if (std::exchange(renumber_next_, false)) front_->renumberNext();
     auto updated = front_->update(active);
     change_ = &front_->change();
-    if (updated && !std::ranges::equal(active, cut_)) cut_.assign(active.begin(), active.end());
-    return updated;
+    if (!updated) return updated;
+    if (companion_ && change_->any) companion_->build(*front_), companion_->take();
+    if (!std::ranges::equal(active, cut_)) takeOver(cut_, active, spare_);
+    return {};
   }
   if (state_ == kReady)
     if (auto taken = take(); !taken) return taken;
@@ -89,7 +94,10 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
   return {};
 }
 
-void CutBuilder::await() const { state_.wait(kBuilding); }
+void CutBuilder::await() const {
+  begin();
+  state_.wait(kBuilding);
+}
 
 bool CutBuilder::holds(std::span<const stream::StripPtr> active) const { return !back_ || (!renumber_next_ && std::ranges::equal(active, cut_)); }
 

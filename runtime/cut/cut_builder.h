@@ -13,11 +13,19 @@
 
 namespace ff::runtime {
 
+// Whoever makes something beside the matrix of a new cut: build() on the thread that has put that together, take() on the caller's, when it is taken up.
+class CutCompanion {
+ public:
+  virtual ~CutCompanion() = default;
+  virtual void build(const MatrixAssembler& cut) = 0;  // whose change() is that from the cut before
+  virtual void take() = 0;
+};
+
 // One thread calls. Nothing but a matrix that outgrows its capacity takes memory there.
 class CutBuilder {
  public:
-  // The world must outlive it. background: there is a thread; where the system has none, as without.
-  CutBuilder(const formats::World& world, FarLight far_light, bool background);
+  // World and companion must outlive it. background: there is a thread; where the system has none, as without.
+  CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr);
   ~CutBuilder();
 
   // Stays where it is; changes with next() only.
@@ -27,9 +35,13 @@ class CutBuilder {
   // By number in LocalMatrix::tiles.
   const stream::ResidentStrip& strip(size_t tile) const { return front_->strip(tile); }
 
-  // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built if
-  // nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
+  // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built, from
+  // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
   Result<void> next(std::span<const stream::StripPtr> active);
+  // Wakes the thread, which may take the caller's core for a while: so a frame does it when all else is done.
+  void begin() const {
+    if (state_.load() == kBuilding) state_.notify_one();
+  }
   // From a cut's first call of next() to the one that took it up, s: longestOfLate(); 0 without a background.
   float latencySeconds() const { return latency_seconds_; }
   // Blocks until nothing is being built.
@@ -46,6 +58,7 @@ class CutBuilder {
   void start(std::span<const stream::StripPtr> active);
   Result<void> take();
 
+  CutCompanion* const companion_;
   std::unique_ptr<MatrixAssembler> front_, back_;  // back_: null without a background
   LocalMatrix shown_;                              // the front's, while it is in front
   const MatrixChange none_;
@@ -55,9 +68,10 @@ class CutBuilder {
   float latency_seconds_ = 0;
   // Handed to the thread, which only reads them, and back by state_.
   std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
+  std::vector<stream::StripPtr> spare_;            // of takeOver()
   bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
   std::optional<Error> error_;
-  std::atomic<uint32_t> state_{kIdle};
+  mutable std::atomic<uint32_t> state_{kIdle};
   std::thread thread_;
 };
 

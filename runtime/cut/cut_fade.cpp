@@ -15,14 +15,16 @@ constexpr float kFar = 2;           // times as far away as when it began, a til
 
 formats::TileId parentOf(const stream::ResidentStrip& strip) { return {strip.id.level + 1, strip.tile.info().parent_tile}; }
 
-// Over the tiles of the finest level.
+// Over the tiles of the finest level, a node of eight.
 float meanOf(const LocalMatrix& matrix, std::span<const Vec4> source) {
   double sum = 0;
   uint64_t nodes = 0;
   for (const SlotRange& range : matrix.tiles) {
     if (range.id.level != matrix.tiles.front().id.level) break;
-    for (const Vec4& m : source.subspan(range.first_slot, range.nodes)) sum += static_cast<double>(m.x + m.y + m.z) / 3;
-    nodes += range.nodes;
+    for (uint32_t i = 0; i < range.nodes; i += 8, ++nodes) {
+      const Vec4& m = source[range.first_slot + i];
+      sum += static_cast<double>(m.x + m.y + m.z) / 3;
+    }
   }
   return nodes > 0 ? static_cast<float>(sum / static_cast<double>(nodes)) : 0;
 }
@@ -45,7 +47,9 @@ float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<cons
 CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
-  for (auto* strips : {&active_, &cut_, &next_cut_}) strips->reserve(kMaxTiles);
+  for (auto* known : {&active_, &active_before_}) known->reserve(kMaxTiles);
+  for (auto* ids : {&cut_ids_, &next_cut_ids_}) ids->reserve(kMaxTiles);
+  for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
   order_.reserve(kMaxTiles);
 }
@@ -57,42 +61,77 @@ CutFade::Tile* CutFade::find(formats::TileId id) {
 
 std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
   if (settings_.frames == 0) return active;
-  const bool same = std::ranges::equal(active, active_);
+  const bool same = std::ranges::equal(active, active_, {}, &StripPtr::get, &Known::strip);
   if (same && std::ranges::none_of(tiles_, [](const Tile& tile) { return tile.leaving && tile.rests(); })) return cut_;
-  active_.assign(active.begin(), active.end());
+  followActive(active);
   listLeaving();
   keepTheMost();
-  next_cut_.clear();
-  auto a = active.begin();
+  // What stays is moved, so that no count of a strip changes.
+  size_t old = 0, a = 0;
+  const auto add = [&](StripPtr strip, formats::TileId id) {
+    next_cut_.push_back(std::move(strip));
+    next_cut_ids_.push_back(id);
+  };
+  const auto addActive = [&](auto until) {
+    for (; a < active.size() && until(active_[a].id); ++a) {
+      const formats::TileId id = active_[a].id;
+      while (old < cut_.size() && cut_ids_[old] < id) ++old;
+      const bool stays = old < cut_.size() && cut_[old] == active[a];
+      add(stays ? std::move(cut_[old++]) : active[a], id);
+    }
+  };
   for (const Leaving& tile : leaving_) {
     if (!tile.kept) continue;
-    for (; a != active.end() && (*a)->id < cut_[tile.at]->id; ++a) next_cut_.push_back(*a);
-    next_cut_.push_back(cut_[tile.at]);
+    addActive([id = cut_ids_[tile.at]](formats::TileId other) { return other < id; });
+    old = tile.at;
+    add(std::move(cut_[old]), cut_ids_[old]);
+    ++old;
   }
-  next_cut_.insert(next_cut_.end(), a, active.end());
+  addActive([](formats::TileId) { return true; });
   cut_.swap(next_cut_);
+  cut_ids_.swap(next_cut_ids_);
   next_cut_.clear();
+  next_cut_ids_.clear();
   return cut_;
+}
+
+void CutFade::followActive(std::span<const StripPtr> active) {
+  active_.swap(active_before_);
+  active_.clear();
+  auto old = active_before_.begin();
+  for (const StripPtr& strip : active) {
+    if (old == active_before_.end() || old->strip != strip.get()) {  // one that comes, or after some that went
+      while (old != active_before_.end() && old->id < strip->id) ++old;
+      if (old == active_before_.end() || old->strip != strip.get()) {
+        active_.push_back({strip.get(), strip->id, static_cast<uint32_t>(strip->nodes.size())});
+        continue;
+      }
+    }
+    active_.push_back(*old++);
+  }
 }
 
 // Tiles of the matrix that are active no more, kept as long as they or their descendants show anything.
 void CutFade::listLeaving() {
   leaving_.clear();
   size_t a = 0;
+  auto of = tiles_.begin();
   for (uint32_t k = 0; k < cut_.size(); ++k) {
-    while (a < active_.size() && active_[a]->id < cut_[k]->id) ++a;
-    Tile* const tile = find(cut_[k]->id);
-    if (!tile) continue;  // one that leaves before it was ever there just goes
-    const bool leaves = a == active_.size() || active_[a]->id != cut_[k]->id;
-    if (tile->leaving != leaves) tile->step = 0;
-    tile->leaving = leaves;
-    if (leaves) leaving_.push_back({k, tile->weight, tile->weight > 0});
+    const formats::TileId id = cut_ids_[k];
+    while (a < active_.size() && active_[a].id < id) ++a;
+    while (of != tiles_.end() && of->id < id) ++of;
+    if (of == tiles_.end() || of->id != id) continue;  // one that leaves before it was ever there just goes
+    Tile& tile = *of;
+    const bool leaves = a == active_.size() || active_[a].id != id;
+    if (tile.leaving != leaves) tile.step = 0;
+    tile.leaving = leaves;
+    if (leaves) leaving_.push_back({k, tile.weight, tile.weight > 0});
   }
   for (const Leaving& tile : leaving_) {  // children first: the finest levels come first
     if (!tile.kept) continue;
     const formats::TileId parent = parentOf(*cut_[tile.at]);
-    const auto above = std::ranges::lower_bound(leaving_, parent, {}, [&](const Leaving& l) { return cut_[l.at]->id; });
-    if (above == leaving_.end() || cut_[above->at]->id != parent) continue;
+    const auto above = std::ranges::lower_bound(leaving_, parent, {}, [&](const Leaving& l) { return cut_ids_[l.at]; });
+    if (above == leaving_.end() || cut_ids_[above->at] != parent) continue;
     above->kept = true;
     above->weight = std::max(above->weight, tile.weight);
   }
@@ -101,7 +140,7 @@ void CutFade::listLeaving() {
 // Within max_nodes, and what slots there are: those that show most, parents before their children.
 void CutFade::keepTheMost() {
   size_t active = 0;
-  for (const StripPtr& strip : active_) active += strip->nodes.size();
+  for (const Known& known : active_) active += known.nodes;
   const size_t slots = kMaxSlots - kMaxSlots / 16;  // so that a tile that enters finds consecutive ones
   const size_t room = std::min<size_t>(settings_.max_nodes, active < slots ? slots - active : 0);
   size_t nodes = 0;
@@ -160,6 +199,7 @@ void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, c
 void CutFade::finish() {
   active_.clear();
   cut_.clear();
+  cut_ids_.clear();
   for (Tile& tile : tiles_) tile = {tile.id};
 }
 

@@ -49,12 +49,21 @@ class CutFade {
     bool kept;
   };
   Tile* find(formats::TileId id);
+  void followActive(std::span<const stream::StripPtr> active);
   void listLeaving();
   void keepTheMost();
 
   FadeSettings settings_;
   std::vector<Tile> tiles_, tiles_before_;  // of the matrix
-  std::vector<stream::StripPtr> active_, cut_, next_cut_;
+  // What a frame asks of strips, most of which it has no other reason to look at.
+  struct Known {
+    const stream::ResidentStrip* strip;
+    formats::TileId id;
+    uint32_t nodes = 0;
+  };
+  std::vector<stream::StripPtr> cut_, next_cut_;
+  std::vector<Known> active_, active_before_;             // all of active_ in cut_, which keeps them
+  std::vector<formats::TileId> cut_ids_, next_cut_ids_;   // of cut_ and next_cut_
   std::vector<Leaving> leaving_;
   std::vector<uint32_t> order_;  // of leaving_
 };

@@ -32,6 +32,7 @@ inline Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& 
 
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
 inline constexpr uint32_t kRowPadding = 8;    // entries: what a vector loop takes at once
+inline constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
 inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of column
 
 struct SlotRange {
@@ -67,6 +68,7 @@ struct LocalMatrix {
   std::vector<float> child_weight;    // per slot with a parent: its area over that of the parent's children; equal where none has any
   std::vector<uint32_t> entries;      // with gaps between rows
   std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
+  std::vector<uint32_t> leaf_parts{0};  // where parts of `leaves` begin whose rows have about kPartEntries entries; last = leaves.size()
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
   struct Refined {
     uint32_t slot, first_child, last_child;  // from the first to the last by next_sibling
@@ -75,6 +77,7 @@ struct LocalMatrix {
   std::vector<uint32_t> refined_level_start;  // ranges of `refined` that may be done in parallel; last = refined.size()
   uint32_t ambient_slot = kNoSlot;            // FarLight::kConstant: the slot of all that is far
   uint64_t used_entries = 0;                  // of all rows together
+  uint32_t most_slots = 0;                    // that there will ever be; 0: unknown
   // For devices that resolve rows themselves; by tile. Empty in a matrix made by hand.
   struct PackedRows {
     const stream::ResidentStrip* strip;
@@ -96,8 +99,21 @@ struct LocalMatrix {
   uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
 };
 
-// Fills in child_weight, from everything else.
+// Slots that any cut of a world can take.
+uint32_t mostSlots(const formats::World& world);
+
+// Touches memory for so many values, so that no frame has the system find its pages, some microseconds for each.
+template <class T>
+void touchMemory(std::vector<T>& values, size_t most) {
+  const size_t size = values.size();
+  if (most <= size) return;
+  values.resize(most);
+  values.resize(size);
+}
+
+// These fill in child_weight and leaf_parts, from everything else.
 void weighChildren(LocalMatrix& matrix);
+void divideLeaves(LocalMatrix& matrix);
 
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {

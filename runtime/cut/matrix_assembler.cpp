@@ -89,7 +89,9 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   m.packed.reserve(kTilesAtFirst);
   m.pages = &pages_;
   m.entries.reserve(entryCapacity(world));
+  m.most_slots = mostSlots(world);
   m.leaves.reserve(kMaxSlots);
+  m.leaf_parts.reserve(kMaxSlots + 1);
   m.refined.reserve(kMaxSlots);
   m.refined_level_start.reserve(formats::kMaxLevels + 1);
   for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot, &m.next_sibling}) per_slot->reserve(kMaxSlots);
@@ -470,6 +472,13 @@ void MatrixAssembler::listLeavesAndRefined() {
   if (m.ambient_slot != kNoSlot) m.leaves.push_back(m.ambient_slot);
   m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
   weighChildren(m);
+  divideLeaves(m);
+}
+
+uint32_t mostSlots(const formats::World& world) {
+  uint64_t nodes = 1;  // FarLight::kConstant's
+  for (const formats::LevelInfo& level : world.levels()) nodes += level.nodes;
+  return static_cast<uint32_t>(std::min<uint64_t>(nodes, kMaxSlots));
 }
 
 Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<const StripPtr> active,
@@ -477,6 +486,18 @@ Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<cons
   MatrixAssembler assembler(world, far_light);
   if (auto updated = assembler.update(active); !updated) return updated.error();
   return std::move(assembler).take();
+}
+
+void divideLeaves(LocalMatrix& m) {
+  m.leaf_parts.assign(1, 0);
+  uint32_t entries = 0;
+  for (uint32_t i = 0; i < m.leaves.size(); ++i) {
+    entries += m.row_entries[m.leaves[i]];
+    if (entries < kPartEntries) continue;
+    m.leaf_parts.push_back(i + 1);
+    entries = 0;
+  }
+  if (m.leaf_parts.back() != m.leaves.size()) m.leaf_parts.push_back(static_cast<uint32_t>(m.leaves.size()));
 }
 
 void weighChildren(LocalMatrix& m) {

@@ -16,15 +16,13 @@
 namespace ff::runtime {
 namespace {
 
-constexpr uint32_t kPartRefined = 2048;   // likewise, of refined slots; a single part is done without a meeting
-constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
+constexpr uint32_t kPartRefined = 2048;  // slots of a part handed to a thread; a single part is done without a meeting
 
 class CpuGather final : public Solver {
  public:
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
-    parts_.reserve(kMaxSlots + 1);
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
@@ -36,8 +34,12 @@ class CpuGather final : public Solver {
       else
         for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
     }
-    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->resize(matrix.slots());
+    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) {
+      if (all) touchMemory(*per_slot, matrix.most_slots);
+      per_slot->resize(matrix.slots());
+    }
     if (all) stepped_ = false;
+    if (all) held_.touch(matrix.most_slots);
     held_.rowsChanged(matrix.slots(), stepped_);
     if (all) {
       for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
@@ -53,7 +55,6 @@ class CpuGather final : public Solver {
         }
       }
     }
-    divideRows();
     pace_.forget();
     return {};
   }
@@ -62,6 +63,17 @@ class CpuGather final : public Solver {
     FF_CHECK_EQ(source.size(), source_.size());
     if (held_.goesBefore()) hold();
     repaired_ += copySound(source, source_);
+    pace_.forget();
+    return {};
+  }
+
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override {
+    FF_CHECK_EQ(source.size(), source_.size());
+    if (held_.goesBefore()) hold();
+    for (const uint32_t t : change.entered) {
+      const SlotRange& range = matrix_->tiles[t];
+      repaired_ += copySound(source.subspan(range.first_slot, range.nodes), std::span(source_).subspan(range.first_slot, range.nodes));
+    }
     pace_.forget();
     return {};
   }
@@ -117,8 +129,9 @@ class CpuGather final : public Solver {
  private:
   template <class Work>  // work(leaves, number of the first one, of the one after the last)
   void forLeaves(Work&& work) {
-    pool_.run(static_cast<uint32_t>(parts_.size() - 1), [&](uint32_t part) {
-      work(std::span<const uint32_t>(matrix_->leaves).subspan(parts_[part], parts_[part + 1] - parts_[part]), parts_[part], parts_[part + 1]);
+    const std::vector<uint32_t>& parts = matrix_->leaf_parts;
+    pool_.run(static_cast<uint32_t>(parts.size() - 1), [&](uint32_t part) {
+      work(std::span<const uint32_t>(matrix_->leaves).subspan(parts[part], parts[part + 1] - parts[part]), parts[part], parts[part + 1]);
     });
   }
 
@@ -211,18 +224,6 @@ class CpuGather final : public Solver {
     return {albedo.x * scale, albedo.y * scale, albedo.z * scale, 0};
   }
 
-  void divideRows() {
-    parts_.assign(1, 0);
-    uint32_t entries = 0;
-    for (uint32_t i = 0; i < matrix_->leaves.size(); ++i) {
-      entries += matrix_->row_entries[matrix_->leaves[i]];
-      if (entries < kPartEntries) continue;
-      parts_.push_back(i + 1);
-      entries = 0;
-    }
-    if (parts_.back() != matrix_->leaves.size()) parts_.push_back(static_cast<uint32_t>(matrix_->leaves.size()));
-  }
-
   // Level by level from the finest up: a level's children are done.
   void refine() {
     const auto& starts = matrix_->refined_level_start;
@@ -243,7 +244,6 @@ class CpuGather final : public Solver {
   std::vector<Vec4> before_;         // of two steps ago, in approach(); scratch of hold()
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
-  std::vector<uint32_t> parts_;      // ranges of matrix_->leaves of about kPartEntries entries
   SemiIteration pace_;
   uint64_t repaired_ = 0;
   double last_ms_ = 0;

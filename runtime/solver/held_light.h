@@ -20,6 +20,10 @@ class HeldLight {
     lit_.reserve(kMaxSlots);
   }
 
+  void touch(uint32_t most_slots) {
+    touchMemory(held_, most_slots);
+    touchMemory(lit_, most_slots);
+  }
   void ease(uint32_t frames) {
     ease_frames_ = frames;
     if (frames == 0) letGo();

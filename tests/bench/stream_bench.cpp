@@ -79,6 +79,7 @@ class TimedSolver final : public runtime::Solver {
   explicit TimedSolver(std::unique_ptr<Solver> of) : of_(std::move(of)) {}
   Result<void> update(const runtime::LocalMatrix& m, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->update(m, c); }); }
   Result<void> setSource(std::span<const Vec4> source) override { return timed(update_, [&] { return of_->setSource(source); }); }
+  Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->setEnteredSource(source, c); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
   void ease(uint32_t frames) override { of_->ease(frames); }
   Result<void> iterate(int k) override { return timed(steps_, [&] { return of_->iterate(k); }); }
@@ -168,6 +169,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     stream::StreamSettings settings;
     settings.radius_m *= whole.info().cell_m;
     settings.read_bytes_per_second = options.bytes_per_second;
+    settings.background = !options.in_frame;
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
     TimedSolver solver(runtime::makeCpuGather());
     runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames}, options.max_applied_tiles);
@@ -175,10 +177,10 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     const FlightPath::Moment first = path.moment(pass, 0);
     streamer->update(first.at, first.velocity);
     orExit(streamer->settle());
-    for (int k = 0; k < kFramesBefore; ++k) {  // as one that is flying already: what it takes to build a matrix is known, and how long frames are
+    for (int k = kFramesBefore; k-- > 0;) {  // as one that is flying already: what it takes to build a matrix is known, and how long frames are
       std::this_thread::sleep_for(std::chrono::duration<double>(kFrameSeconds));
       updater.awaitCut();
-      (void)orExit(updater.frame(first.at, first.velocity, 1));
+      (void)orExit(updater.frame(first.at - first.velocity * static_cast<float>(k * kFrameSeconds), first.velocity, 1));
       orExit(streamer->settle());
     }
     (void)orExit(updater.converge(1e-5f, 2000));
@@ -297,6 +299,7 @@ void printReload(const formats::WholeWorld& whole, const std::string& name, cons
   TimedSolver solver(runtime::makeCpuGather());
   runtime::GenerationSettings settings;
   settings.stream.radius_m *= whole.info().cell_m;
+  settings.stream.background = true;
   settings.fade.frames = options.fade_frames;
   const auto open = [&] { return runtime::Generation::create(orExit(formats::World::open(whole.path())), settings, solver); };
   std::unique_ptr<runtime::Generation> shown = orExit(open());
@@ -393,7 +396,7 @@ int main(int argc, char** argv) {
   app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
   app.add_flag("--warm", options.warm, "leaves the files in the page cache");
   app.add_option("--fade", options.fade_frames, "frames that a tile takes to come or to go, at least; 0: it does so at once")->capture_default_str();
-  app.add_flag("--in-frame", options.in_frame, "new matrices are put together within the frame");
+  app.add_flag("--in-frame", options.in_frame, "the streamer's work is done and new matrices are put together within the frame");
   app.add_flag("--unhurried", options.unhurried, "every frame waits until all is there: what changes of the cut cost by themselves");
   CLI11_PARSE(app, argc, argv);
   if (options.quick) options.seconds = std::min(options.seconds, 4.0);

@@ -363,6 +363,54 @@ TEST(Updater, InTheBackgroundTheCutComesToTheSameState) {
   EXPECT_EQ(states[0], states[1]);
 }
 
+// Sky and lamps change while matrices are put together beside the frames, and what was reckoned there may be of a light that is gone.
+TEST(Updater, SourcesAreThoseOfNowWhateverChangesWhileAMatrixIsPutTogether) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  for (const bool has_direct : {false, true}) {
+    const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
+    const auto solver = makeCpuGather(1);
+    Updater updater(test.world(), *streamer, *solver, FarLight::kPyramid, true);
+    if (has_direct)
+      updater.setDirectLight([&test](formats::TileId id, std::span<Vec3> out) {
+        const formats::TileInfo& info = test.world().tiles(id.level)[id.tile];
+        for (uint32_t i = 0; i < info.nodes; ++i) out[i] = directAt(id.level, info.first_node + i);
+      });
+    std::mt19937_64 random(3);
+    Sky sky = kSky;
+    std::vector<Vec3> scale(updater.lamps().groups(), {1, 1, 1});
+    ASSERT_TRUE(updater.setSky(sky));
+    uint32_t entered = 0;
+    for (float x = 5; x < 58; x += 0.25f) {
+      if (random() % 3 == 0) {
+        sky.l0 = {static_cast<float>(random() % 5), 1, 2};
+        ASSERT_TRUE(updater.setSky(sky));
+      }
+      if (random() % 3 == 0) {
+        const auto group = static_cast<uint32_t>(random() % scale.size());
+        scale[group] = {static_cast<float>(random() % 4), 1, 0.5f};
+        ASSERT_TRUE(updater.setLamp(group, scale[group]));
+      }
+      const auto stats = updater.frame({x, 1, 30}, {15, 0, 0}, 2);
+      ASSERT_TRUE(stats) << stats.error().line();
+      entered += stats->applied_tiles;
+      std::this_thread::sleep_for(std::chrono::microseconds(500));
+      for (const SlotRange& range : updater.matrix().tiles) {
+        const formats::TileInfo& info = test.world().tiles(range.id.level)[range.id.tile];
+        std::vector<Vec3> lamps(info.nodes);
+        for (const formats::LampLight& lamp : test.strip(info.id).lamps) lamps[lamp.row] += test.world().info().lamp_groups[lamp.group].emission * scale[lamp.group] * lamp.weight;
+        for (uint32_t i = 0; i < range.nodes; ++i) {
+          const formats::Node& node = test.node(range.id.level, range.first_node + i);
+          const Vec3 direct = has_direct ? directAt(range.id.level, range.first_node + i) : Vec3{};
+          expectClose(updater.source()[range.first_slot + i], node.albedo * (direct + lamps[i] + skyIrradiance(sky, node)));
+          expectClose(updater.emission()[range.first_slot + i], node.emission * (node.lamp_group < scale.size() ? scale[node.lamp_group] : Vec3{1, 1, 1}));
+        }
+      }
+      if (testing::Test::HasFailure()) return;
+    }
+    EXPECT_GT(entered, 20u);
+  }
+}
+
 // After a jump: never more than may, each cut a whole one; the state is that of one without a budget.
 TEST(Updater, AFrameTakesAtMostItsBudgetOfTiles) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});

@@ -29,6 +29,7 @@ inline void finishByHand(LocalMatrix& m) {
       m.next_sibling[c] = c < r.last_child ? c + 1 : r.first_child;
     }
   weighChildren(m);
+  divideLeaves(m);
 }
 
 // A new matrix to a solver, and radiosity to start from (empty: zero).

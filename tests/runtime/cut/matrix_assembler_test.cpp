@@ -210,6 +210,8 @@ TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
     }
     ASSERT_EQ(m.leaves, n.leaves);
     ASSERT_EQ(m.child_weight, n.child_weight);
+    ASSERT_EQ(m.leaf_parts, n.leaf_parts);
+    ASSERT_EQ(m.leaf_parts.back(), m.leaves.size());
     for (const uint32_t slot : m.leaves) ASSERT_TRUE(std::ranges::equal(m.row(slot), n.row(slot)));
     if (more == 0) {  // else it was told by a call before
       ++taken;

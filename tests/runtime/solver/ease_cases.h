@@ -130,6 +130,31 @@ TEST_P(Ease, AChangeOfSourcesIsNotHeldBack) {
   }
 }
 
+// However a new cut's sources are given, light is the same, to the bit.
+TEST_P(Ease, SourcesOfWhatEnteredAreAsGoodAsAll) {
+  const TestWorld test(world());
+  std::vector<std::vector<Vec4>> light;
+  for (const bool entered_alone : {false, true}) {
+    CutChange walk(GetParam(), test, kEaseFrames);
+    for (uint64_t step = 0; step < 6; ++step) {
+      ASSERT_TRUE(walk.solver->iterate(2));
+      ASSERT_TRUE(walk.assembler.update(test.randomCut(0.5 + 0.1 * static_cast<double>(step % 3), 10 + step)));
+      const MatrixChange& change = walk.assembler.change();
+      ASSERT_FALSE(change.renumbered);
+      ASSERT_TRUE(walk.solver->update(walk.matrix(), change));
+      const std::vector<Vec4> source = sourceOf(walk.matrix());
+      ASSERT_TRUE(entered_alone ? walk.solver->setEnteredSource(source, change) : walk.solver->setSource(source));
+    }
+    ASSERT_TRUE(walk.solver->iterate(3));
+    light.push_back(walk.light());
+    for (uint32_t slot = 0; slot < walk.matrix().slots(); ++slot) {
+      if (!walk.matrix().leaf[slot]) light.back()[slot] = {};
+    }
+  }
+  ASSERT_EQ(light[0].size(), light[1].size());
+  for (size_t slot = 0; slot < light[0].size(); ++slot) ASSERT_EQ(distance(light[0][slot], light[1][slot]), 0);
+}
+
 TEST_P(Ease, NoughtLetsAllGoNow) {
   const TestWorld test(world());
   CutChange eased(GetParam(), test, kEaseFrames), at_once(GetParam(), test, 0);
