@@ -239,7 +239,7 @@ Result<bool> Updater::followCut() {
   const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {
     if (whole) cut_.await();
-    if (auto followed = cut_.next(wanted); !followed) return followed.error();
+    if (auto followed = cut_.next(wanted, fade_.fading()); !followed) return followed.error();
     if (!cut_.change().any && !missed_) continue;
     changed = true;
     if (auto taken = takeUpChange(); !taken) return taken.error();

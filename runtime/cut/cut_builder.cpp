@@ -13,6 +13,7 @@ namespace ff::runtime {
 CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion)
     : companion_(companion), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
   for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
+  for (auto* fading : {&fading_, &next_fading_}) fading->reserve(kMaxSlots / 16);
   if (!background) return;
   back_ = std::make_unique<MatrixAssembler>(world, far_light);
   front_->swap(shown_);
@@ -41,10 +42,10 @@ void CutBuilder::work() {
     Result<void> built;
     try {
       if (renumbered_) back_->renumberNext();
-      if (!cut_.empty()) built = back_->update(cut_);  // what the front has taken up since
+      if (!cut_.empty()) built = back_->update(cut_, fading_);  // what the front has taken up since
       renumbered_ = false;
       if (renumber_) back_->renumberNext();
-      if (built) built = back_->update(next_cut_);
+      if (built) built = back_->update(next_cut_, next_fading_);
       if (built && companion_) companion_->build(*back_);
     } catch (const std::bad_alloc&) {
       built = Error{ErrorCode::kIo, "", "", "out of memory for the local matrix", ""};
@@ -56,9 +57,10 @@ void CutBuilder::work() {
   }
 }
 
-void CutBuilder::start(std::span<const stream::StripPtr> active) {
+void CutBuilder::start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
   started_ = std::chrono::steady_clock::now();
   takeOver(next_cut_, active, spare_);
+  next_fading_.assign(fading.begin(), fading.end());
   renumber_ = std::exchange(renumber_next_, false);
   state_ = kBuilding;
 }
@@ -71,17 +73,18 @@ Result<void> CutBuilder::take() {
   back_->swap(shown_);
   front_.swap(back_);
   cut_.swap(next_cut_);
+  fading_.swap(next_fading_);
   renumbered_ = renumber_;
   change_ = &front_->change();
   if (companion_) companion_->take();
   return {};
 }
 
-Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
+Result<void> CutBuilder::next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
   change_ = &none_;
   if (!back_) {
     if (std::exchange(renumber_next_, false)) front_->renumberNext();
-    auto updated = front_->update(active);
+    auto updated = front_->update(active, fading);
     change_ = &front_->change();
     if (!updated) return updated;
     if (companion_ && change_->any) companion_->build(*front_), companion_->take();
@@ -90,7 +93,7 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active) {
   }
   if (state_ == kReady)
     if (auto taken = take(); !taken) return taken;
-  if (state_ == kIdle && !holds(active)) start(active);
+  if (state_ == kIdle && !holds(active)) start(active, fading);
   return {};
 }
 

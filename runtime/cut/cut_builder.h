@@ -37,7 +37,8 @@ class CutBuilder {
 
   // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built, from
   // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
-  Result<void> next(std::span<const stream::StripPtr> active);
+  // fading: as MatrixAssembler::update.
+  Result<void> next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
   // Wakes the thread, which may take the caller's core for a while: so a frame does it when all else is done.
   void begin() const {
     if (state_.load() == kBuilding) state_.notify_one();
@@ -55,7 +56,7 @@ class CutBuilder {
  private:
   enum State : uint32_t { kIdle, kBuilding, kReady, kStop };
   void work();
-  void start(std::span<const stream::StripPtr> active);
+  void start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading);
   Result<void> take();
 
   CutCompanion* const companion_;
@@ -68,6 +69,7 @@ class CutBuilder {
   float latency_seconds_ = 0;
   // Handed to the thread, which only reads them, and back by state_.
   std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
+  std::vector<FadingTile> fading_, next_fading_;  // of these
   std::vector<stream::StripPtr> spare_;            // of takeOver()
   bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
   std::optional<Error> error_;

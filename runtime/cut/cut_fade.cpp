@@ -49,6 +49,7 @@ CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
   for (auto* known : {&active_, &active_before_}) known->reserve(kMaxTiles);
   for (auto* ids : {&cut_ids_, &next_cut_ids_}) ids->reserve(kMaxTiles);
+  fading_.reserve(kMaxTiles);
   for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
   order_.reserve(kMaxTiles);
@@ -67,6 +68,7 @@ std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
   listLeaving();
   keepTheMost();
   // What stays is moved, so that no count of a strip changes.
+  fading_.clear();
   size_t old = 0, a = 0;
   const auto add = [&](StripPtr strip, formats::TileId id) {
     next_cut_.push_back(std::move(strip));
@@ -84,6 +86,7 @@ std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
     if (!tile.kept) continue;
     addActive([id = cut_ids_[tile.at]](formats::TileId other) { return other < id; });
     old = tile.at;
+    fading_.push_back({cut_ids_[old], tile.weight});
     add(std::move(cut_[old]), cut_ids_[old]);
     ++old;
   }
@@ -200,6 +203,7 @@ void CutFade::finish() {
   active_.clear();
   cut_.clear();
   cut_ids_.clear();
+  fading_.clear();
   for (Tile& tile : tiles_) tile = {tile.id};
 }
 

@@ -22,6 +22,8 @@ class CutFade {
 
   // The tiles to put a matrix together of: `active` (as Streamer::active()) and those that fade out. Sorted likewise; valid until the next call.
   std::span<const stream::StripPtr> cut(std::span<const stream::StripPtr> active);
+  // Those of the last cut() that fade out, sorted.
+  std::span<const FadingTile> fading() const { return fading_; }
   // The matrix is that of another cut. entered: as MatrixChange has it; empty where slots were given out anew.
   void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered);
   // A frame passes. source: by slot, what is reflected of light that arrives without a bounce, W/m2.
@@ -64,6 +66,7 @@ class CutFade {
   std::vector<stream::StripPtr> cut_, next_cut_;
   std::vector<Known> active_, active_before_;             // all of active_ in cut_, which keeps them
   std::vector<formats::TileId> cut_ids_, next_cut_ids_;   // of cut_ and next_cut_
+  std::vector<FadingTile> fading_;
   std::vector<Leaving> leaving_;
   std::vector<uint32_t> order_;  // of leaving_
 };

@@ -115,6 +115,12 @@ void touchMemory(std::vector<T>& values, size_t most) {
 void weighChildren(LocalMatrix& matrix);
 void divideLeaves(LocalMatrix& matrix);
 
+// A tile that may leave at any time; weight: how much of what it shows is its own.
+struct FadingTile {
+  formats::TileId id;
+  float weight = 0;
+};
+
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {
   bool any = false;

@@ -64,11 +64,12 @@ uint32_t resolveRun(const uint16_t* words, uint32_t n, const uint16_t* page, uin
 
 }  // namespace
 
-MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light)
+MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light, uint32_t max_slots)
     : world_(world),
       far_light_(far_light),
+      max_slots_(max_slots),
       pages_(world, ambientOf(far_light)),
-      slots_(kMaxSlots),
+      slots_(max_slots),
       entries_(entryCapacity(world)),
       partners_(entryCapacity(world) / kEntriesAPartner),
       runs_(entryCapacity(world)) {
@@ -113,9 +114,9 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
     slots += strip->nodes.size();
     tops += strip->id.level == top;
   }
-  if (slots > kMaxSlots)
+  if (slots > max_slots_)
     return Error{ErrorCode::kUsage, world_.path(), "",
-                 std::to_string(slots) + " nodes in the cut, at most " + std::to_string(kMaxSlots) + " have a slot",
+                 std::to_string(slots) + " nodes in the cut, at most " + std::to_string(max_slots_) + " have a slot",
                  "lower the radius or max_nodes"};
   if (pyramid && tops != world_.levels()[top].tiles)
     return Error{ErrorCode::kUsage, world_.path(), "",
@@ -124,7 +125,13 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
   return {};
 }
 
-Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
+const FadingTile* MatrixAssembler::fading(formats::TileId id) const {
+  const auto at = std::ranges::lower_bound(fading_, id, {}, &FadingTile::id);
+  return at != fading_.end() && at->id == id ? &*at : nullptr;
+}
+
+Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span<const FadingTile> fading) {
+  fading_ = fading;
   change_.any = change_.renumbered = false;
   change_.left.clear();
   change_.entered.clear();
@@ -134,8 +141,13 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
   {
     size_t t = 0;
     bool same = true;
-    for (const StripPtr& strip : active)
-      if (takes_part(strip)) same = same && t < tiles_.size() && tiles_[t++].range.id == strip->id;
+    for (const StripPtr& strip : active) {
+      if (!takes_part(strip)) continue;
+      const bool there = t < tiles_.size() && tiles_[t].range.id == strip->id;
+      if (!there && this->fading(strip->id)) continue;
+      same = same && there;
+      t += there;
+    }
     if (same && t == tiles_.size() && !tiles_.empty() && !renumber_next_) return {};
   }
   if (auto fit = check(active); !fit) return fit;
@@ -143,11 +155,13 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active) {
   diff(active);
   for (size_t t = 0; t < tiles_.size(); ++t) {
     const bool anew = std::exchange(renumber_next_, false);
-    if (!anew && (!tiles_[t].entered || place(tiles_[t]))) continue;
+    if (!anew && (!tiles_[t].entered || place(tiles_[t]) || (makeRoom(tiles_[t]) && place(tiles_[t])))) continue;
+    std::erase_if(tiles_, [](const Tile& tile) { return !tile.strip; });
     renumber();  // fragmented, or larger than was foreseen
     for (Tile& tile : tiles_) place(tile);
     break;
   }
+  std::erase_if(tiles_, [](const Tile& tile) { return !tile.strip; });
   for (size_t t = tiles_.size(); t-- > 0;) {  // parents first
     if (!tiles_[t].entered) continue;
     link(tiles_[t]);
@@ -206,6 +220,7 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
       }
       drop(tiles_[old++]);
     }
+    if (fading(strip->id)) continue;
     Tile tile;
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
     tile.strip = strip;
@@ -233,6 +248,27 @@ void MatrixAssembler::drop(Tile& tile) {
   releaseRanges(tile);
   change_.left.push_back(tile.range);
   tile.strip.reset();
+}
+
+// So many fading tiles go that a tile finds slots; false: it does not for all of them, or it is not slots that it lacks.
+bool MatrixAssembler::makeRoom(const Tile& tile) {
+  while (slots_.longest() < tile.range.nodes) {
+    // Of those that leave enough at once, the one that shows least; else the one that leaves most.
+    Tile* best = nullptr;
+    std::pair<uint64_t, float> most{};  // slots, up to what is enough; how little it shows
+    for (Tile& other : tiles_) {
+      const FadingTile* const fades = other.strip && other.placed && !other.entered ? fading(other.range.id) : nullptr;
+      if (!fades) continue;
+      const std::pair leaves{std::min<uint64_t>(slots_.longWithout(other.range.first_slot, other.range.nodes), tile.range.nodes), -fades->weight};
+      const std::span<const uint8_t> leaf = std::span(matrix_.leaf).subspan(other.range.first_slot, other.range.nodes);
+      if ((best && leaves <= most) || std::ranges::find(leaf, 0) != leaf.end()) continue;
+      best = &other;
+      most = leaves;
+    }
+    if (!best) return false;
+    drop(*best);
+  }
+  return slots_.longest() >= tile.range.nodes;
 }
 
 void MatrixAssembler::makeLeaf(uint32_t slot) {
@@ -325,7 +361,7 @@ void MatrixAssembler::renumber() {
     partners += rangeOf(tile.strip->partners);
     runs += rangeOf(tile.strip->runs);
   }
-  slots_ = RangeAllocator(kMaxSlots);
+  slots_ = RangeAllocator(max_slots_);
   entries_ = RangeAllocator(std::max(entryCapacity(world_), 2 * room));
   partners_ = RangeAllocator(std::max(entryCapacity(world_) / kEntriesAPartner, 2 * partners));
   runs_ = RangeAllocator(std::max(entryCapacity(world_), 2 * runs));

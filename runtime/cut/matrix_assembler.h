@@ -15,15 +15,16 @@ namespace ff::runtime {
 
 class MatrixAssembler {
  public:
-  // The world must outlive the assembler.
-  explicit MatrixAssembler(const formats::World& world, FarLight far_light = FarLight::kPyramid);
+  // The world must outlive the assembler. max_slots: fewer are for tests.
+  explicit MatrixAssembler(const formats::World& world, FarLight far_light = FarLight::kPyramid, uint32_t max_slots = kMaxSlots);
   MatrixAssembler(const MatrixAssembler&) = delete;
   MatrixAssembler& operator=(const MatrixAssembler&) = delete;
 
   // Brings the matrix to the cut `active` (sorted, as Streamer::active()) and holds its strips. The same cut again
-  // changes nothing. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
+  // changes nothing. fading: tiles of it, sorted, that need not be there: where one that enters finds no consecutive slots, as many as it takes go at once, those that show least first,
+  // rather than that all slots are given out anew; and what is not in the matrix does not enter. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
   // missing). A tile without its parent tile stands alone (local_matrix.h); where that comes or goes the tile enters anew.
-  Result<void> update(std::span<const stream::StripPtr> active);
+  Result<void> update(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
 
   // Gives the matrix away for another, and takes it back likewise: in between the assembler is not used. Allocates nothing.
   void swap(LocalMatrix& matrix) { std::swap(matrix_, matrix); }
@@ -59,6 +60,8 @@ class MatrixAssembler {
   void diff(std::span<const stream::StripPtr> active);
   void drop(Tile& tile);
   bool place(Tile& tile);
+  bool makeRoom(const Tile& tile);
+  const FadingTile* fading(formats::TileId id) const;  // null: it is not
   bool reserveRanges(Tile& tile);
   void releaseRanges(Tile& tile);
   void renumber();
@@ -73,12 +76,14 @@ class MatrixAssembler {
 
   const formats::World& world_;
   FarLight far_light_;
+  const uint32_t max_slots_;
   LocalMatrix matrix_;
   MatrixChange change_;
   bool renumber_next_ = false;
   PageTable pages_;
   RangeAllocator slots_, entries_, partners_, runs_;
   std::vector<Tile> tiles_, next_tiles_;
+  std::span<const FadingTile> fading_;  // of the update under way
   std::vector<uint8_t> kept_;            // by number in `active`: the tile was there, and so were the tiles above it
   std::vector<uint32_t> partner_pages_;  // of a tile: by index in strip->partners
   std::vector<uint16_t> run_entries_;    // of a tile: by run, entries that it takes in its row

@@ -46,6 +46,20 @@ class RangeAllocator {
     }
   }
 
+  // The longest free range.
+  uint64_t longest() const {
+    uint64_t longest = 0;
+    for (const Range& r : free_) longest = r.size() > longest ? r.size() : longest;
+    return longest;
+  }
+  // How long the free range would be that release() of these leaves behind.
+  uint64_t longWithout(uint64_t offset, uint64_t size) const {
+    uint64_t length = size;
+    for (const Range& r : free_)
+      if (r.end == offset || r.begin == offset + size) length += r.size();
+    return length;
+  }
+
   // All of it is free again; no range that was handed out is worth anything.
   void reset() { free_.assign(1, {0, size_}); }
 

@@ -65,6 +65,60 @@ TEST(MatrixAssembler, AfterAnyWalkTheMatrixIsThatOfAFreshBuild) {
   }
 }
 
+// Slots are short: without fading tiles that may go, they are given out anew time and again.
+TEST(MatrixAssembler, WhatFadesGoesBeforeSlotsAreGivenOutAnew) {
+  const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 6});
+  constexpr uint32_t kSlots = 640;
+  MatrixAssembler assembler(test.world(), FarLight::kPyramid, kSlots), without(test.world(), FarLight::kPyramid, kSlots);
+  const auto nodesOf = [](const Cut& cut) {
+    size_t nodes = 0;
+    for (const auto& strip : cut) nodes += strip->nodes.size();
+    return nodes;
+  };
+  int renumbered = 0, renumbered_without = 0, gone = 0;
+  Cut before;
+  for (uint64_t step = 0; step < 150; ++step) {
+    Cut active = test.randomCut(0.5, step);
+    ASSERT_LT(nodesOf(active), kSlots);
+    // What was there fades, parents first, as long as there are slots.
+    std::set<formats::TileId> in;
+    for (const auto& strip : active) in.insert(strip->id);
+    Cut cut = active;
+    std::vector<FadingTile> fading;
+    for (size_t i = before.size(); i-- > 0;) {
+      const auto& strip = before[i];
+      if (in.contains(strip->id) || !in.contains({strip->id.level + 1, strip->tile.info().parent_tile})) continue;
+      if (nodesOf(cut) + strip->nodes.size() > kSlots - 10) break;
+      cut.push_back(strip);
+      in.insert(strip->id);
+      fading.push_back({strip->id, static_cast<float>(i % 3) / 3});
+    }
+    std::ranges::sort(cut, {}, [](const auto& strip) { return strip->id; });
+    std::ranges::sort(fading, {}, &FadingTile::id);
+    ASSERT_TRUE(assembler.update(cut, fading));
+    ASSERT_TRUE(without.update(cut));
+    renumbered += assembler.change().renumbered;
+    renumbered_without += without.change().renumbered;
+    std::set<formats::TileId> there;
+    for (const SlotRange& range : assembler.matrix().tiles) there.insert(range.id);
+    for (const auto& strip : active) ASSERT_TRUE(there.contains(strip->id));
+    gone += static_cast<int>(cut.size() - there.size());
+    Cut now;
+    for (const auto& strip : cut)
+      if (there.contains(strip->id)) now.push_back(strip);
+    ASSERT_EQ(now.size(), there.size());
+    MatrixAssembler fresh(test.world());
+    ASSERT_TRUE(fresh.update(now));
+    expectSame(assembler.matrix(), fresh.matrix());
+    ASSERT_TRUE(assembler.update(cut, fading));
+    ASSERT_FALSE(assembler.change().any) << "what is gone does not come back";
+    before = now;
+  }
+  EXPECT_GT(renumbered_without, 5);
+  EXPECT_LT(renumbered, renumbered_without / 4);
+  EXPECT_GT(gone, 5);
+}
+
 TEST(MatrixAssembler, ASlotKeepsItsNodeWhileItsTileIsActive) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 4});
   MatrixAssembler assembler(test.world());

@@ -8,6 +8,19 @@
 namespace ff::runtime {
 namespace {
 
+TEST(RangeAllocator, KnowsItsLongestFreeRangeAndWhatARangeWouldLeave) {
+  RangeAllocator ranges(100);
+  EXPECT_EQ(ranges.longest(), 100u);
+  for (const uint64_t size : {10, 20, 30, 40}) ASSERT_TRUE(ranges.allocate(size, 1));
+  EXPECT_EQ(ranges.longest(), 0u);
+  EXPECT_EQ(ranges.longWithout(30, 30), 30u);
+  ranges.release(0, 10);
+  ranges.release(60, 40);
+  EXPECT_EQ(ranges.longest(), 40u);
+  EXPECT_EQ(ranges.longWithout(10, 20), 30u);
+  EXPECT_EQ(ranges.longWithout(30, 30), 70u);
+}
+
 TEST(RangeAllocator, GivesRangesThatNeverOverlapAndComeBackWhole) {
   constexpr uint64_t kSize = 4096;
   RangeAllocator ranges(kSize);
