@@ -97,6 +97,7 @@ struct Game {
     settings.radius_m *= world.info().cell_m;
     settings.hysteresis = 1;     // what is active is a function of where observers are
     settings.retry_seconds = 0.2f;  // an hour passes in minutes
+    settings.background = true;
     return settings;
   }
   // All there, by node: rows, light that arrives, and what twenty steps from darkness come to.
