@@ -5,6 +5,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <system_error>
 #include <thread>
@@ -77,7 +78,7 @@ class BackgroundStreamer final : public Streamer {
 
   StreamStats stats() const override {
     StreamStats stats = stats_taken_;
-    stats.pending_tiles += observers_.movedBy(jump_m_, looked_at_taken_);
+    stats.pending_tiles += taken_ == 0 ? asked_.number > 0 : observers_.movedBy(jump_m_, looked_at_taken_);
     return stats;
   }
   std::string lastFailure() const override { return of_->lastFailure(); }
@@ -107,6 +108,7 @@ class BackgroundStreamer final : public Streamer {
   bool takeUp() {
     stats_taken_ = stats_;
     looked_at_taken_ = looked_at_;
+    taken_ = done_;
     if (!fresh_) return false;
     fresh_ = false;
     active_.swap(ready_);  // the thread lets go of the list before
@@ -132,13 +134,16 @@ class BackgroundStreamer final : public Streamer {
       asked_.settles = asked_.hinted = false;
       lock.unlock();
       making_.clear();
-      if (now.hinted) of.expect(std::span(now.hints).first(now.hint_count));
-      of.setLead(now.lead_seconds);
-      bool changed = of.update(now.observers);
+      bool changed = now.settles;
       std::optional<Error> failure;
-      if (now.settles) {
-        if (auto settled = of.settle(); !settled) failure = settled.error();
-        changed = true;
+      try {
+        if (now.hinted) of.expect(std::span(now.hints).first(now.hint_count));
+        of.setLead(now.lead_seconds);
+        changed |= of.update(now.observers);
+        if (now.settles)
+          if (auto settled = of.settle(); !settled) failure = settled.error();
+      } catch (const std::bad_alloc&) {  // of a table that outgrows its size: what is there stands, and the next frame asks again
+        failure = Error{ErrorCode::kIo, "", "", "out of memory while streaming", "close other programs"};
       }
       if (changed) making_.assign(of.active().begin(), of.active().end());
       const StreamStats stats = of.stats();
@@ -162,6 +167,7 @@ class BackgroundStreamer final : public Streamer {
   bool hinted_ = false;  // expected_ was not handed over
   Observers observers_, looked_at_taken_;
   StreamStats stats_taken_;
+  uint64_t taken_ = 0;   // number of what stats_taken_ came of
   float lead_seconds_ = 0;
   const float jump_m_;
   // The thread's, while it does not hold the lock.

@@ -321,6 +321,9 @@ TEST_F(StreamerTest, InTheBackgroundAJumpIsPendingUntilAllIsThere) {
   StreamSettings settings = kNoHistory;
   settings.background = true;
   const auto streamer = make(settings, memory());
+  EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+  streamer->update({1, 1, 1}, {});  // near the origin, where nobody has been either
+  EXPECT_GT(streamer->stats().pending_tiles, 0u);
   settledAt(*streamer, {10, 1, 12});
   EXPECT_EQ(streamer->stats().pending_tiles, 0u);
   const Vec3 there{50, 1, 40};
