@@ -15,8 +15,6 @@
 namespace ff::stream {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 constexpr std::chrono::milliseconds kLook{1};  // at what is asked and what has arrived: nobody is woken, who might take a frame's core
 constexpr int kLooks = 250;                    // that find nothing; then the thread sleeps until it is woken after all
 
@@ -43,8 +41,7 @@ class BackgroundStreamer final : public Streamer {
 
   using Streamer::update;
   bool update(const Observers& observers) override {
-    const auto now = Clock::now();
-    std::erase_if(expected_, [now](const Hint& hint) { return now > hint.due + kHintStays; });
+    (void)forgetHints(expected_);
     observers_ = observers;
     std::unique_lock lock(mutex_, std::try_to_lock);
     if (!lock) return false;  // whoever has it may have lost its core: the next frame

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "formats/result.h"
 #include "formats/vec3.h"
@@ -24,6 +25,10 @@ struct Hint {
   std::chrono::steady_clock::time_point due;
 };
 inline constexpr std::chrono::seconds kHintStays{5};  // beyond its time
+// Those that are past that are no more; whether there were any.
+inline bool forgetHints(std::vector<Hint>& hints) {
+  return !hints.empty() && std::erase_if(hints, [now = std::chrono::steady_clock::now()](const Hint& hint) { return now > hint.due + kHintStays; }) > 0;
+}
 
 // 1 to kMaxObservers of them; takes no memory.
 class Observers {

@@ -81,7 +81,7 @@ class StreamerImpl final : public Streamer {
   bool update(const Observers& observers) override {
     const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_seconds_ > 0 && turned);
     const bool retries = isRetryDue();
-    const bool hinted = std::exchange(hinted_, false) || forgetHints();
+    const bool hinted = std::exchange(hinted_, false) || forgetHints(hints_);
     if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_seconds_);
     const bool planned = planner_ && planner_->fresh();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
@@ -218,10 +218,6 @@ class StreamerImpl final : public Streamer {
   bool isAhead(TileId id) const {
     const auto at = std::ranges::lower_bound(plan_->by_id, id, {}, &PathPlanner::Plan::Named::id);
     return at != plan_->by_id.end() && at->id == id && is_ahead_[at->rank];
-  }
-  // Whether there were any to forget.
-  bool forgetHints() {
-    return !hints_.empty() && std::erase_if(hints_, [now = Clock::now()](const Hint& hint) { return now > hint.due + kHintStays; }) > 0;
   }
   void dropAhead(TileId id) {
     if (!wanted_.isWanted(id)) cache_.setWanted(id, false);

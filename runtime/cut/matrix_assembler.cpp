@@ -125,7 +125,7 @@ Result<void> MatrixAssembler::check(std::span<const StripPtr> active) const {
   return {};
 }
 
-const FadingTile* MatrixAssembler::fading(formats::TileId id) const {
+const FadingTile* MatrixAssembler::findFading(formats::TileId id) const {
   const auto at = std::ranges::lower_bound(fading_, id, {}, &FadingTile::id);
   return at != fading_.end() && at->id == id ? &*at : nullptr;
 }
@@ -144,7 +144,7 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
     for (const StripPtr& strip : active) {
       if (!takes_part(strip)) continue;
       const bool there = t < tiles_.size() && tiles_[t].range.id == strip->id;
-      if (!there && this->fading(strip->id)) continue;
+      if (!there && findFading(strip->id)) continue;
       same = same && there;
       t += there;
     }
@@ -153,15 +153,13 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
   if (auto fit = check(active); !fit) return fit;
   change_.any = true;
   diff(active);
-  for (size_t t = 0; t < tiles_.size(); ++t) {
-    const bool anew = std::exchange(renumber_next_, false);
-    if (!anew && (!tiles_[t].entered || place(tiles_[t]) || (makeRoom(tiles_[t]) && place(tiles_[t])))) continue;
-    std::erase_if(tiles_, [](const Tile& tile) { return !tile.strip; });
+  bool fit_in = !std::exchange(renumber_next_, false);
+  for (size_t t = 0; fit_in && t < tiles_.size(); ++t) fit_in = !tiles_[t].entered || place(tiles_[t]) || (makeRoom(tiles_[t]) && place(tiles_[t]));
+  std::erase_if(tiles_, [](const Tile& tile) { return !tile.strip; });  // those that made room
+  if (!fit_in) {
     renumber();  // fragmented, or larger than was foreseen
     for (Tile& tile : tiles_) place(tile);
-    break;
   }
-  std::erase_if(tiles_, [](const Tile& tile) { return !tile.strip; });
   for (size_t t = tiles_.size(); t-- > 0;) {  // parents first
     if (!tiles_[t].entered) continue;
     link(tiles_[t]);
@@ -220,7 +218,7 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
       }
       drop(tiles_[old++]);
     }
-    if (fading(strip->id)) continue;
+    if (findFading(strip->id)) continue;
     Tile tile;
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
     tile.strip = strip;
@@ -252,12 +250,13 @@ void MatrixAssembler::drop(Tile& tile) {
 
 // So many fading tiles go that a tile finds slots; false: it does not for all of them, or it is not slots that it lacks.
 bool MatrixAssembler::makeRoom(const Tile& tile) {
-  while (slots_.longest() < tile.range.nodes) {
+  if (slots_.longest() >= tile.range.nodes) return false;
+  do {
     // Of those that leave enough at once, the one that shows least; else the one that leaves most.
     Tile* best = nullptr;
     std::pair<uint64_t, float> most{};  // slots, up to what is enough; how little it shows
     for (Tile& other : tiles_) {
-      const FadingTile* const fades = other.strip && other.placed && !other.entered ? fading(other.range.id) : nullptr;
+      const FadingTile* const fades = other.strip && other.placed && !other.entered ? findFading(other.range.id) : nullptr;
       if (!fades) continue;
       const std::pair leaves{std::min<uint64_t>(slots_.longWithout(other.range.first_slot, other.range.nodes), tile.range.nodes), -fades->weight};
       const std::span<const uint8_t> leaf = std::span(matrix_.leaf).subspan(other.range.first_slot, other.range.nodes);
@@ -267,8 +266,8 @@ bool MatrixAssembler::makeRoom(const Tile& tile) {
     }
     if (!best) return false;
     drop(*best);
-  }
-  return slots_.longest() >= tile.range.nodes;
+  } while (slots_.longest() < tile.range.nodes);
+  return true;
 }
 
 void MatrixAssembler::makeLeaf(uint32_t slot) {

@@ -61,7 +61,7 @@ class MatrixAssembler {
   void drop(Tile& tile);
   bool place(Tile& tile);
   bool makeRoom(const Tile& tile);
-  const FadingTile* fading(formats::TileId id) const;  // null: it is not
+  const FadingTile* findFading(formats::TileId id) const;  // null: it is not
   bool reserveRanges(Tile& tile);
   void releaseRanges(Tile& tile);
   void renumber();
