@@ -10,7 +10,8 @@
 
 namespace ff::formats {
 
-inline constexpr uint16_t kFormatVersion = 2;        // written, and the only one that this reader understands
+inline constexpr uint16_t kFormatVersion = 3;        // written, and the only one that this reader understands
+inline constexpr uint32_t kMaxBlocks = 65535;       // of a strip: partner tiles, which solvers count in 16 bits
 inline constexpr uint32_t kTileNodes = 256;          // nodes of a tile, at most: rows and columns are then one byte each
 inline constexpr uint32_t kMaxLevels = 16;
 inline constexpr uint32_t kMaxQuanta = 65535;        // counts are u16
@@ -87,7 +88,7 @@ struct Block {
   uint32_t entries = 0;
 };
 
-// All rows of one tile. Entries are sorted by (partner tile, row, column); blocks follow each other in `rows`, `columns`
+// All rows of one tile. Entries are sorted by (partner tile, row, column); blocks, at most kMaxBlocks, follow each other in `rows`, `columns`
 // and `counts`. Form factor of an entry: F = count / nodes[row].quanta, receiver = row, source = column.
 struct Strip {
   TileId id;
@@ -100,17 +101,18 @@ struct Strip {
   std::vector<LampLight> lamps;   // by (row, group), ascending
 };
 
-// A strip's entries in the form in which solvers read them: words of 16 bits, `column << 8 | count`, a count above kMaxWordCount as several with one
-// column; run after run. A run is the entries of one row in one block.
+// A strip's entries in the form in which solvers read them: row r has the runs runs[run_start[r] .. run_start[r + 1]), one a partner
+// tile, and the words words[row_start[r] .. row_start[r + 1]), run after run. A word is `column << 8 | count`; a count above
+// kMaxWordCount takes several with one column.
 inline constexpr uint32_t kMaxWordCount = 255;
-struct EntryWords {
+struct RowWords {
   struct Run {
-    uint32_t words;
-    uint8_t row;
+    uint16_t partner;  // index into the strip's blocks, ascending in a row
+    uint16_t words;
   };
-  std::vector<uint16_t> words;       // may be more than the runs', for the next strip
-  std::vector<Run> runs;             // block after block
-  std::vector<uint32_t> block_runs;  // by block
+  std::vector<Run> runs;
+  std::vector<uint16_t> words;
+  std::vector<uint32_t> run_start, row_start;  // nodes + 1 each
 };
 
 // Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres. The last triangles are no part of

@@ -12,7 +12,7 @@
 
 namespace ff::stream {
 
-struct ResidentStrip {
+struct ResidentStrip : formats::RowWords {  // a run's partner: index into `partners`
   formats::TileId id;
   uint32_t first_node = 0;  // number of nodes[0] within its level
   formats::TileRef tile;    // where it stands in the world's index
@@ -23,24 +23,14 @@ struct ResidentStrip {
   };
   std::vector<Partner> partners;            // tiles ascending
   std::vector<formats::ChunkPtr> chunks;    // the index of all partners stays as long as the strip
-  // Row r has the runs runs[run_start[r] .. run_start[r + 1]), one a partner tile, and the words words[row_start[r] ..
-  // row_start[r + 1]), run after run. A word is `column << 8 | count`; a count above 255 takes several with one column.
-  // Form factor: F = count / nodes[r].quanta.
-  struct Run {
-    uint16_t partner;  // index into `partners`, ascending in a row
-    uint16_t words;
-  };
-  std::vector<Run> runs;
-  std::vector<uint16_t> words;
-  std::vector<uint32_t> run_start, row_start;  // nodes + 1 each
   std::vector<uint64_t> row_partners;          // per node: bit p % 64 is set for each partner p of its runs
   std::vector<formats::LampLight> lamps;       // what the nodes get of the lamps, by row
 };
 
 using StripPtr = std::shared_ptr<const ResidentStrip>;
 
-// Takes the strip apart, but for its entries, which are `words`. chunks: of each block's partner. Errors (kInvalidFile): more partner tiles or words in a run than 16 bits can count.
-Result<ResidentStrip> pack(formats::Strip&& strip, const formats::EntryWords& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
+// Takes the strip apart, but for its entries, which are `words`. chunks: of each block's partner.
+ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
 
 // Bytes that a strip takes in memory.
 uint64_t residentBytes(const ResidentStrip& strip);

@@ -27,11 +27,9 @@ constexpr size_t kMaxArrivedChunks = 64;               // that wait to be taken
 Result<StripPtr> decodeAndPack(const formats::World& world, const TileRef& tile, std::span<const std::byte> stored) {
   formats::Strip strip;
   formats::World::PartnerChunks chunks;
-  thread_local formats::EntryWords words;
+  formats::RowWords words;
   if (auto decoded = world.decodeStrip(tile, stored, strip, &chunks, &words); !decoded) return decoded.error();
-  auto packed = pack(std::move(strip), words, tile, chunks);
-  if (!packed) return packed.error();
-  return std::make_shared<const ResidentStrip>(std::move(*packed));
+  return std::make_shared<const ResidentStrip>(pack(std::move(strip), std::move(words), tile, chunks));
 }
 
 Result<StripPtr> readResident(const formats::World& world, const TileRef& tile) {

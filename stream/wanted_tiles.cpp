@@ -21,8 +21,8 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
   // An entry is a word and perhaps a run; counts above 255 take one more word for each 255 quanta of the row.
   const uint64_t words = uint64_t{info.entries} + uint64_t{info.nodes} * (formats::maxRowQuanta(world.info().quanta) / 255 + 1);
   // Lamps' light is among what is left of the payload once nodes and entries are taken off.
-  const formats::StripLayout least{info.nodes, 0, 0, info.entries};
-  const uint64_t lamps = (info.strip.raw_bytes - std::min<uint64_t>(info.strip.raw_bytes, least.escapes())) / formats::StripLayout::kLampBytes;
+  const formats::StripLayout least{info.nodes, 0, 0, 0, 0, info.entries};
+  const uint64_t lamps = (info.strip.raw_bytes - std::min<uint64_t>(info.strip.raw_bytes, least.end())) / formats::StripLayout::kLampBytes;
   return sizeof(ResidentStrip) + info.nodes * sizeof(formats::Node) + partners * (sizeof(ResidentStrip::Partner) + sizeof(formats::ChunkPtr)) + 16 * (uint64_t{info.nodes} + 1) +
          info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }

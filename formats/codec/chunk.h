@@ -43,6 +43,7 @@ struct Chunk : std::enable_shared_from_this<Chunk> {
   std::vector<GeometryInfo> geometry;  // of level 0, by tile; none without drawing geometry
   std::vector<ChildChunk> children;    // in the world's order
   std::vector<LevelCount> first;       // by level, 0 to its own: numbers of the first tile and node of all that lies in it
+  mutable std::vector<std::weak_ptr<const Chunk>> children_here;  // World's, under its lock: of the children, those that somebody holds; empty until one was read
   ChunkPtr parent;                     // of the coarsest level's chunks: the root, which has no tiles and lies one level higher
 
   uint32_t firstTile() const { return static_cast<uint32_t>(first[level].tiles); }

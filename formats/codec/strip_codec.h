@@ -20,13 +20,17 @@ struct StripLayout {
   static constexpr uint32_t kNodeBytes = 54;
   // step to a chunk of partner tiles 3 x i32, blocks in it u32
   static constexpr uint32_t kChunkBytes = 16;
-  // partner tile step u16, entries - 1 u16
-  static constexpr uint32_t kBlockBytes = 4;
+  // partner tile step u16, runs - 1 u8
+  static constexpr uint32_t kBlockBytes = 3;
+  // row step - 1 u8, words - 1 u16, first column u8
+  static constexpr uint32_t kRunBytes = 4;
   // group u16, weights 3 x u16
   static constexpr uint32_t kLampBytes = 8;
 
-  uint32_t nodes = 0, chunks = 0, blocks = 0, entries = 0;
-  uint32_t lamps = 0;  // the sum of the nodes' lamps
+  uint32_t nodes = 0, chunks = 0, blocks = 0;
+  // What the header does not tell: the sums of the nodes' lamps, of the blocks' runs and of the runs' words. A run is the entries of one
+  // row in one block, an entry a word or more (RowWords).
+  uint32_t lamps = 0, runs = 0, words = 0;
   uint64_t area() const { return 0; }
   uint64_t centroid() const { return uint64_t{4} * nodes; }
   uint64_t normal() const { return uint64_t{10} * nodes; }
@@ -46,20 +50,15 @@ struct StripLayout {
   uint64_t chunkSteps() const { return lampGroups() + uint64_t{kLampBytes} * lamps; }
   uint64_t chunkBlocks() const { return chunkSteps() + uint64_t{12} * chunks; }
   uint64_t blockSteps() const { return chunkSteps() + uint64_t{kChunkBytes} * chunks; }
-  uint64_t blockEntries() const { return blockSteps() + uint64_t{2} * blocks; }
-  // One mark per entry; then one column byte per entry, those of the runs' first entries before all others; then the
-  // escapes. A run is the entries of one row in one block.
-  uint64_t marks() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
-  uint64_t columns() const { return marks() + entries; }
-  uint64_t escapes() const { return columns() + entries; }
+  uint64_t blockRuns() const { return blockSteps() + uint64_t{2} * blocks; }
+  uint64_t rowSteps() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
+  uint64_t runWords() const { return rowSteps() + runs; }
+  // A column byte for each word: those of the runs' first words before all others. Then a count for each word.
+  uint64_t firstColumns() const { return runWords() + uint64_t{2} * runs; }
+  uint64_t columnSteps() const { return firstColumns() + runs; }
+  uint64_t counts() const { return rowSteps() + uint64_t{kRunBytes - 1} * runs + words; }
+  uint64_t end() const { return counts() + words; }
 };
-
-// A mark: row step << 3 | count. A row step above 0 begins a run; a block's first row counts from -1. Counts above 7 are
-// 0 in the mark and row steps above 30 are 31; the rest of both follows among the escapes, step first.
-inline constexpr uint32_t kMarkCountBits = 3;
-inline constexpr uint32_t kMarkCountMask = 7;
-inline constexpr uint32_t kMarkLargeStep = 31;
-inline constexpr uint32_t kMaxEscapeBytes = 4;  // of one entry: a byte for the step, a varint of up to 3 for the count
 
 // Fractions of 0..1 with a relative precision of 2^-12 in 16 bits: 5 bits of exponent, 11 of mantissa. Codes above that of 1
 // are invalid. What a row's total is stored as: its sixteenth.
@@ -90,6 +89,6 @@ struct PartnerName {
 // bounded by the sizes in `info`, which are checked against the header first. Thread-safe.
 // Errors carry no file name: the caller knows it.
 Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
-                              std::vector<PartnerName>& partners, EntryWords* words = nullptr);
+                              std::vector<PartnerName>& partners, RowWords* words = nullptr);
 
 }  // namespace ff::formats

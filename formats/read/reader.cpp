@@ -3,7 +3,6 @@
 #include <zstd.h>
 
 #include <algorithm>
-#include <map>
 #include <mutex>
 #include <new>
 
@@ -24,8 +23,6 @@ struct World::State {
   // Guards what follows; held while a shard is opened, not while one is read.
   mutable std::mutex mutex;
   mutable std::vector<std::unique_ptr<StoredFile>> files;                 // of `shards`; null: not opened yet
-  mutable std::map<TileId, std::weak_ptr<const Chunk>> chunks;            // by their first tile
-  mutable size_t sweep_at = 64;                                           // chunks: expired ones are forgotten then
 
   Result<const StoredFile*> file(uint32_t shard, const ReadOptions& options = {}) const;
   // Whether what the index names is there, as the manifest has it.
@@ -115,11 +112,10 @@ Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, c
 
 Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options) const try {
   const State& s = *state_;
-  const TileId key{parent->level - 1, parent->firstTileOf(child)};
   {
     const std::lock_guard lock(s.mutex);
-    if (const auto at = s.chunks.find(key); at != s.chunks.end())
-      if (ChunkPtr here = at->second.lock()) return here;
+    if (!parent->children_here.empty())
+      if (ChunkPtr here = parent->children_here[child].lock()) return here;
   }
   const ChildChunk& wanted = parent->children[child];
   const auto inRecord = [&](Error e) {
@@ -127,7 +123,7 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const Read
     return e;
   };
   const auto bad = [&](const char* what) {
-    return inRecord({ErrorCode::kInvalidFile, "", chunkText(key.level, wanted.cell) + " at offset " + std::to_string(wanted.record.offset), what, kRemedy});
+    return inRecord({ErrorCode::kInvalidFile, "", chunkText(parent->level - 1, wanted.cell) + " at offset " + std::to_string(wanted.record.offset), what, kRemedy});
   };
   std::vector<std::byte> stored(wanted.record.stored_bytes);
   if (auto ok = readStored(wanted.record, stored, options); !ok) return ok.error();
@@ -148,11 +144,8 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const Read
   for (const ChildChunk& below : (*chunk)->children) inside = inside && s.holds(kKindIndex, below.record);
   if (!inside) return bad("names bytes outside the shards");
   const std::lock_guard lock(s.mutex);
-  if (s.chunks.size() >= s.sweep_at) {
-    std::erase_if(s.chunks, [](const auto& entry) { return entry.second.expired(); });
-    s.sweep_at = std::max<size_t>(64, 2 * s.chunks.size());
-  }
-  std::weak_ptr<const Chunk>& entry = s.chunks[key];
+  parent->children_here.resize(parent->children.size());
+  std::weak_ptr<const Chunk>& entry = parent->children_here[child];
   if (ChunkPtr here = entry.lock()) return here;  // another thread was faster
   entry = *chunk;
   return std::move(*chunk);
@@ -161,6 +154,9 @@ Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const Read
 }
 
 namespace {
+
+// What a compiler makes a call of memcmp of, if it is written as ==.
+bool same(const ChunkCell& a, const ChunkCell& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
 // The cell of `level` that a chunk of a finer level lies in.
 ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
@@ -173,7 +169,7 @@ ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
 Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
   // From the lowest chunk that covers the place up: a cell may have several records.
   for (ChunkPtr at = from;; at = at->parent) {
-    if (at->parent && at->cell != ancestorOf(name.chunk, level, at->level)) continue;
+    if (at->parent && !same(at->cell, ancestorOf(name.chunk, level, at->level))) continue;
     auto found = search(at, level, name);
     if (!found || *found || !at->parent) return found;
   }
@@ -184,7 +180,7 @@ Result<ChunkPtr> World::search(const ChunkPtr& at, uint32_t level, const TileNam
   if (at->level == level) return name.tile >= at->first_number && name.tile - at->first_number < at->tiles.size() ? at : ChunkPtr();
   const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
   for (uint32_t k = 0; k < at->children.size(); ++k) {
-    if (at->children[k].cell != next) continue;
+    if (!same(at->children[k].cell, next)) continue;
     auto below = child(at, k);
     if (!below) return below.error();
     auto found = search(*below, level, name);
@@ -244,7 +240,7 @@ Result<World::Tiles> World::childTiles(const TileRef& tile) const {
   return Tiles{std::move(*below), info.first_child - first, info.end_child - first};
 }
 
-Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners, EntryWords* words) const {
+Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners, RowWords* words) const {
   const State& s = *state_;
   const TileInfo& info = tile.info();
   thread_local std::vector<PartnerName> names;
@@ -265,23 +261,29 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
   const auto bad = [&](size_t block, const char* what) {
     return inShard({ErrorCode::kInvalidFile, "", "", "block " + std::to_string(block) + " " + what, kRemedy});
   };
-  if (partners) partners->clear();
-  ChunkPtr chunk;
+  PartnerChunks own;
+  PartnerChunks& chunks = partners ? *partners : own;
+  chunks.clear();
   for (size_t b = 0; b < names.size(); ++b) {
-    ChunkCell cell;
-    for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
-    const bool here = chunk && chunk->cell == cell && names[b].tile >= chunk->first_number && names[b].tile - chunk->first_number < chunk->tiles.size();
+    const bool here = b > 0 && same(names[b].step, names[b - 1].step) && names[b].tile >= chunks.back()->first_number &&
+                      names[b].tile - chunks.back()->first_number < chunks.back()->tiles.size();
     if (!here) {
-      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, chunk ? chunk : tile.chunk);
+      ChunkCell cell;
+      for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
+      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, b > 0 ? chunks.back() : tile.chunk);
       if (!found) return found.error();
       if (!*found) return bad(b, "names a tile that is not there");
-      chunk = std::move(*found);
+      chunks.push_back(std::move(*found));
+    } else {
+      chunks.push_back(chunks.back());
     }
-    const TileInfo& partner = chunk->tiles[names[b].tile - chunk->first_number];
-    if (names[b].columns > partner.nodes) return bad(b, "has a column outside the partner tile");
-    if (b > 0 && partner.id.tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
-    out.blocks[b].partner_tile = partner.id.tile;
-    if (partners) partners->push_back(chunk);
+    __builtin_prefetch(&chunks.back()->tiles[names[b].tile - chunks.back()->first_number].nodes);  // they lie far apart
+  }
+  for (size_t b = 0; b < names.size(); ++b) {
+    const uint32_t index = names[b].tile - chunks[b]->first_number;
+    out.blocks[b].partner_tile = chunks[b]->firstTile() + index;
+    if (names[b].columns > chunks[b]->tiles[index].nodes) return bad(b, "has a column outside the partner tile");
+    if (b > 0 && out.blocks[b].partner_tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
   }
   return {};
 }

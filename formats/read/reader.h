@@ -66,7 +66,7 @@ class World {
   using PartnerChunks = std::vector<ChunkPtr>;
   // Decodes stored bytes (of `tile`'s strip, read by any means) into `out`, whose vectors are reused. Checks the checksum and every rule of
   // FORMAT.md. May read the index of the partners' chunks; partners: these, by block, if it is not null.
-  Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr, EntryWords* words = nullptr) const;
+  Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr, RowWords* words = nullptr) const;
   // Reads stored bytes. out: Extent::stored_bytes.
   Result<void> readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // Reads and decodes.

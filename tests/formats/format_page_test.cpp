@@ -100,7 +100,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
     for (std::string term; terms >> term;)
       if (term != "+") end += std::stoul(term);
   }
-  const StripLayout one{1, 0, 0, 0};
+  const StripLayout one{.nodes = 1};
   EXPECT_EQ(end, StripLayout::kNodeBytes);
   EXPECT_EQ(offsets.size(), 14u);
   EXPECT_EQ(offsets["area"], one.area());
@@ -124,7 +124,8 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   EXPECT_NE(page().find("2^" + std::to_string(kChunkLog) + " cells"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkTiles) + " tiles"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkRawBytes)), std::string::npos);
-  EXPECT_NE(page().find("at most " + std::to_string(kMaxEscapeBytes) + " E"), std::string::npos);
+  EXPECT_NE(page().find("| " + std::to_string(StripLayout::kRunBytes - 1) + " R |"), std::string::npos);
+  EXPECT_NE(page().find("at most " + std::to_string(kMaxBlocks)), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxRowFactor) + " times the world's"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxStripRawBytes)), std::string::npos);
   EXPECT_NE(page().find("format, version " + std::to_string(kFormatVersion)), std::string::npos);

@@ -1,4 +1,4 @@
-// A small world as version 2 wrote it: tests/golden/furnace_v2.hex, with its expected content in
+// A small world as version 3 wrote it: tests/golden/furnace_v3.hex, with its expected content in
 // furnace_world.h. Old files must stay readable, and the same calls must give the same bytes.
 #include <gtest/gtest.h>
 #include <zstd.h>
@@ -42,7 +42,7 @@ RandomWorld goldenWorld() {
 // "file NAME", then lines of hex bytes, or "zeros N".
 Files readGolden() {
   Files files;
-  std::ifstream in(FF_GOLDEN "/furnace_v2.hex");
+  std::ifstream in(FF_GOLDEN "/furnace_v3.hex");
   std::string line, name;
   while (std::getline(in, line)) {
     std::istringstream words(line);
@@ -63,7 +63,7 @@ Files readGolden() {
 
 void writeGolden(const Files& files, const std::string& path) {
   std::ofstream out(path);
-  out << "# A world as format version 2 wrote it; see golden_test.cpp.\n";
+  out << "# A world as format version 3 wrote it; see golden_test.cpp.\n";
   for (const auto& [name, bytes] : files) {
     out << "file " << name << "\n";
     for (size_t i = 0; i < bytes.size();) {
@@ -90,10 +90,10 @@ Files writeNow(const TemporaryFolder& folder) {
   return files;
 }
 
-TEST(Golden, Version2StaysReadable) {
+TEST(Golden, Version3StaysReadable) {
   TemporaryFolder folder;
   const Files files = readGolden();
-  ASSERT_EQ(files.size(), 4u) << "tests/golden/furnace_v2.hex is missing";
+  ASSERT_EQ(files.size(), 4u) << "tests/golden/furnace_v3.hex is missing";
   for (const auto& [name, bytes] : files) writeFile(folder.file(name), bytes);
   auto world = WholeWorld::open(folder.file("furnace.ffm"));
   ASSERT_TRUE(world) << world.error().line();

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <map>
 #include <random>
 #include <tuple>
 
@@ -35,7 +36,7 @@ struct OpenStrip {
     info.strip.offset = 8192;
   }
 
-  StripLayout layout() const { return {header.nodes, header.chunks, header.blocks, header.entries, 2}; }  // sampleStrip()'s lamps
+  StripLayout layout() const { return {header.nodes, header.chunks, header.blocks, 2, 3, 7}; }  // sampleStrip()'s lamps, runs and words
 
   std::vector<std::byte> seal(bool take_header = true) {
     std::vector<std::byte> payload(ZSTD_compressBound(raw.size()));
@@ -56,7 +57,7 @@ struct OpenStrip {
   }
 };
 
-// Two nodes, two blocks; row 0 has three entries (one of them large), row 1 one.
+// Two nodes, two blocks; row 0 has three entries (one of them large: four words), row 1 one.
 Strip sampleStrip() {
   Strip s;
   s.id = {1, 7};
@@ -149,7 +150,7 @@ TEST(StripRules, LampsAndSkyHoldPossibleValues) {
 TEST(StripRules, RowsCloseExactly) {
   expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().sky(), 101); });
   expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().quanta() + 1, 0xe9); });
-  expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1 << 3 | 2); });
+  expectRefused("quanta", [](OpenStrip& s) { setByte(s, s.layout().counts(), 2); });
 }
 
 // What the streamer holds ready for a strip rests on this (residentBytesBound).
@@ -164,8 +165,9 @@ TEST(StripRules, ARowHasAFewTimesTheWorldsSamplesAtMost) {
 
 TEST(StripRules, BlocksAreInOrderAndComplete) {
   expectRefused("repeats its partner", [](OpenStrip& s) { setByte(s, s.layout().blockSteps() + 1, 0); });
-  expectRefused("do not add up to the strip's entries", [](OpenStrip& s) { setByte(s, s.layout().blockEntries(), 9); });
-  expectRefused("do not add up to the strip's entries", [](OpenStrip& s) { setByte(s, s.layout().blockEntries() + 2, 0xff); });
+  expectRefused("number of runs or words contradict", [](OpenStrip& s) { setByte(s, s.layout().blockRuns(), 0); });
+  expectRefused("number of runs or words contradict", [](OpenStrip& s) { setByte(s, s.layout().blockRuns() + 1, 0xff); });
+  expectRefused("do not add up to the strip's entries", [](OpenStrip& s) { s.info.entries = s.header.entries = 3; });
   expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks(), 1); });
   expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks(), 3); });
   expectRefused("do not add up to the strip's blocks", [](OpenStrip& s) { setByte(s, s.layout().chunkBlocks() + 3, 0xff); });
@@ -173,30 +175,31 @@ TEST(StripRules, BlocksAreInOrderAndComplete) {
 
 // The same strip decoded into words is refused where it is refused as arrays, and else has the entries of `arrays`.
 void expectSameAsWords(const TileInfo& info, uint32_t quanta, std::span<const std::byte> bytes, bool accepted, const Strip& arrays) {
-  static EntryWords words;  // as between strips
+  static RowWords words;  // as between strips
   Strip out;
   std::vector<PartnerName> partners;
   ASSERT_EQ(decodeStripBytes(info, quanta, bytes, out, partners, &words).has_value(), accepted);
   if (!accepted) return;
   EXPECT_TRUE(out.rows.empty() && out.columns.empty() && out.counts.empty());
-  ASSERT_EQ(words.block_runs.size(), arrays.blocks.size());
-  size_t e = 0, run = 0, word = 0;
-  for (size_t b = 0; b < arrays.blocks.size(); ++b) {
-    const size_t end = e + arrays.blocks[b].entries, runs_end = run + words.block_runs[b];
-    for (; run < runs_end; ++run)
-      for (const size_t words_end = word + words.runs[run].words; word < words_end; ++e) {
-        ASSERT_LT(e, end);
-        ASSERT_EQ(arrays.rows[e], words.runs[run].row);
-        uint32_t count = 0;
-        do {
-          ASSERT_EQ(words.words[word] >> 8, arrays.columns[e]);
-          count += words.words[word] & kMaxWordCount;
-        } while (++word < words_end && words.words[word] >> 8 == arrays.columns[e]);
-        ASSERT_EQ(count, arrays.counts[e]);
-      }
-    ASSERT_EQ(e, end);
+  ASSERT_EQ(words.run_start.size(), arrays.nodes.size() + 1);
+  ASSERT_EQ(words.row_start.size(), arrays.nodes.size() + 1);
+  std::map<std::tuple<uint32_t, uint32_t, uint32_t>, uint32_t> expected, found;  // count by row, block and column
+  size_t e = 0;
+  for (uint32_t b = 0; b < arrays.blocks.size(); ++b)
+    for (const size_t end = e + arrays.blocks[b].entries; e < end; ++e) expected[{arrays.rows[e], b, arrays.columns[e]}] = arrays.counts[e];
+  size_t word = 0, runs = 0;
+  for (uint32_t r = 0; r < arrays.nodes.size(); ++r) {
+    ASSERT_EQ(words.row_start[r], word);
+    ASSERT_EQ(words.run_start[r], runs);
+    for (; runs < words.run_start[r + 1]; ++runs) {
+      const RowWords::Run& run = words.runs[runs];
+      ASSERT_TRUE(runs == words.run_start[r] || run.partner > words.runs[runs - 1].partner);
+      for (const size_t end = word + run.words; word < end; ++word) found[{r, run.partner, words.words[word] >> 8}] += words.words[word] & kMaxWordCount;
+    }
   }
-  EXPECT_EQ(run, words.runs.size());
+  EXPECT_EQ(word, words.words.size());
+  EXPECT_EQ(runs, words.runs.size());
+  EXPECT_EQ(found, expected);
 }
 
 TEST(StripRules, PartnersAreNamedFromTheStripsOwnChunk) {
@@ -227,28 +230,70 @@ TEST(StripRules, PartnersAreNamedFromTheStripsOwnChunk) {
 }
 
 TEST(StripRules, EntriesAreInOrderAndInRange) {
-  expectRefused("begin with a row", [](OpenStrip& s) { setByte(s, s.layout().marks(), 1); });
-  expectRefused("row is outside", [](OpenStrip& s) { setByte(s, s.layout().marks() + 2, 5 << 3 | 5); });
-  expectRefused("order", [](OpenStrip& s) { setByte(s, s.layout().columns() + 3, 0); });
-  expectRefused("column is outside", [](OpenStrip& s) { setByte(s, s.layout().columns(), 251); });  // and a step of 6
+  expectRefused("row is outside", [](OpenStrip& s) { setByte(s, s.layout().rowSteps(), 2); });
+  expectRefused("row is outside", [](OpenStrip& s) { setByte(s, s.layout().rowSteps() + 1, 1); });
+  expectRefused("order", [](OpenStrip& s) { setByte(s, s.layout().columnSteps(), 0); });     // two entries of one column
+  expectRefused("order", [](OpenStrip& s) { setByte(s, s.layout().firstColumns(), 251); });  // and a step of 6 past 255
+  expectRefused("order", [](OpenStrip& s) {
+    for (const uint64_t word : {2, 3}) setByte(s, s.layout().columnSteps() + word, 200);
+  });
+  expectRefused("count is zero", [](OpenStrip& s) { setByte(s, s.layout().counts() + 1, 0); });
 }
 
-TEST(StripRules, EscapesAreWellFormed) {
-  expectRefused("escape", [](OpenStrip& s) { s.raw.pop_back(); });
-  expectRefused("left over", [](OpenStrip& s) { s.raw.push_back(std::byte{1}); });
-  expectRefused("escape", [](OpenStrip& s) { s.raw.back() = std::byte{0x80}; });
-  expectRefused("escape", [](OpenStrip& s) {  // 892 with a needless third byte
-    s.raw.back() |= std::byte{0x80};
-    s.raw.push_back(std::byte{0});
+// A count of 892 is 255 + 255 + 255 + 127.
+TEST(StripRules, OnlyFullWordsGoOn) {
+  const auto counts = [](OpenStrip& s) { return s.layout().counts() + 3; };
+  const OpenStrip whole = sample();
+  EXPECT_EQ(std::to_integer<int>(whole.raw[whole.layout().counts() + 3]), 255);
+  EXPECT_EQ(std::to_integer<int>(whole.raw[whole.layout().counts() + 6]), 127);
+  expectRefused("order", [&](OpenStrip& s) {
+    setByte(s, counts(s), 254);
+    setByte(s, counts(s) + 3, 128);
   });
-  expectRefused("escape", [](OpenStrip& s) {  // above 65535
-    s.raw.back() = std::byte{0xff};
-    s.raw.push_back(std::byte{0x7f});
-  });
-  expectRefused("row is outside", [](OpenStrip& s) {  // a step of 31 + 255
-    setByte(s, s.layout().marks() + 2, 31 << 3 | 5);
-    s.raw.insert(s.raw.begin() + static_cast<std::ptrdiff_t>(s.layout().escapes()), std::byte{255});
-  });
+  expectRefused("entries", [](OpenStrip& s) { setByte(s, s.layout().columnSteps() + 1, 1); });  // then there is one entry more
+}
+
+TEST(StripRules, RunsHaveTheirWords) {
+  expectRefused("contradict", [](OpenStrip& s) { s.raw.pop_back(); });
+  expectRefused("contradict", [](OpenStrip& s) { s.raw.push_back(std::byte{1}); });
+  expectRefused("contradict", [](OpenStrip& s) { setByte(s, s.layout().runWords(), 0); });
+  expectRefused("contradict", [](OpenStrip& s) { setByte(s, s.layout().runWords() + s.layout().runs, 255); });
+}
+
+// Runs of every length around those that are decoded at once, entries of several words in all places.
+TEST(StripRules, RunsOfAllLengths) {
+  Strip s;
+  s.id = {0, 0};
+  s.nodes.resize(256);
+  for (uint32_t block = 0; block < 2; ++block) {
+    s.blocks.push_back({block, 0});
+    for (uint32_t row = 0; row < 256; ++row) {
+      const uint32_t length = block == 0 ? row + 1 : 1 + row * 7 % 50;
+      for (uint32_t k = 0; k < length; ++k) {
+        s.rows.push_back(static_cast<uint8_t>(row));
+        s.columns.push_back(static_cast<uint8_t>(256 - length + k));
+        s.counts.push_back(static_cast<uint16_t>((row + k) % 17 == 0 ? 255 + (row + k) % 3 : (row + k) % 41 == 0 ? 700 : 1 + k % 5));
+        ++s.blocks.back().entries;
+        s.nodes[row].quanta += s.counts.back();
+      }
+    }
+  }
+  for (Node& n : s.nodes) {
+    n.area_m2 = 1;
+    n.normal = {0, 1, 0};
+  }
+  const std::vector<TileName> names{{{0, 0, 0}, 0}, {{0, 0, 0}, 1}};
+  const auto encoded = encodeStrip(s, Box{{0, 0, 0}, {1, 1, 1}}, names);
+  ASSERT_TRUE(encoded) << encoded.error().line();
+  Strip out;
+  std::vector<PartnerName> partners;
+  const auto decoded = decodeStripBytes(encoded->info, kMaxQuanta, encoded->bytes, out, partners);
+  ASSERT_TRUE(decoded) << decoded.error().line();
+  EXPECT_EQ(out.rows, s.rows);
+  EXPECT_EQ(out.columns, s.columns);
+  EXPECT_EQ(out.counts, s.counts);
+  EXPECT_EQ(partners[0].columns, 256u);
+  expectSameAsWords(encoded->info, kMaxQuanta, encoded->bytes, true, out);
 }
 
 TEST(StripRules, SizesAgree) {
