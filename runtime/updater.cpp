@@ -32,7 +32,8 @@ constexpr float kJumpCells = 8;        // farther than an observer goes in a fra
 constexpr float kLongestFrame = 0.1f;  // s
 constexpr float kPause = 2;            // times as long as frames of late, no frame counts for more: somebody waits for something else
 constexpr float kTurns = 1;            // a streamer in the background looks at a place in one frame, and what it has found is taken up in the next
-constexpr float kFades = 1.5f;         // so that light has followed when the observer is there
+constexpr float kSlack = 4;            // frames that threads may lose while others have their cores
+constexpr float kFades = 1.2f;         // so that light has followed when the observer is there
 constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
 Error noLight(std::string place, const char* why) {
@@ -125,7 +126,8 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(start - frame_began_).count(), kLongestFrame);
   frame_began_ = start;
   frame_seconds_ += frame_seconds_ == 0 ? seconds : (std::min(seconds, kPause * frame_seconds_) - frame_seconds_) / 8;
-  streamer_.setLead(kBuilds * cut_.latencySeconds() + (kFades * static_cast<float>(fade_.frames()) + kTurns) * frame_seconds_);
+  const float until_active = kBuilds * cut_.latencySeconds() + (kTurns + kSlack) * frame_seconds_;
+  streamer_.setLead({until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
   streamer_.update(observers);
   if (observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers))) fade_.finish();
   const double stream_ms = msSince(start);

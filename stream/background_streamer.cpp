@@ -59,7 +59,7 @@ class BackgroundStreamer final : public Streamer {
     hinted_ = true;
   }
   std::span<const Hint> expected() const override { return expected_; }
-  void setLead(float seconds) override { lead_seconds_ = seconds; }
+  void setLead(const Lead& lead) override { lead_ = lead; }
   std::span<const StripPtr> active() const override { return active_; }
 
   Result<void> settle() override {
@@ -84,7 +84,7 @@ class BackgroundStreamer final : public Streamer {
   struct Asked {
     uint64_t number = 0;  // 0: nothing yet
     Observers observers;
-    float lead_seconds = 0;
+    Lead lead;
     bool settles = false, hinted = false;
     std::array<Hint, kMaxObservers> hints;
     size_t hint_count = 0;
@@ -93,7 +93,7 @@ class BackgroundStreamer final : public Streamer {
   // These two with mutex_ held.
   void ask() {
     asked_.observers = observers_;
-    asked_.lead_seconds = lead_seconds_;
+    asked_.lead = lead_;
     if (std::exchange(hinted_, false)) {
       std::ranges::copy(expected_, asked_.hints.begin());
       asked_.hint_count = expected_.size();
@@ -135,7 +135,7 @@ class BackgroundStreamer final : public Streamer {
       std::optional<Error> failure;
       try {
         if (now.hinted) of.expect(std::span(now.hints).first(now.hint_count));
-        of.setLead(now.lead_seconds);
+        of.setLead(now.lead);
         changed |= of.update(now.observers);
         if (now.settles)
           if (auto settled = of.settle(); !settled) failure = settled.error();
@@ -165,7 +165,7 @@ class BackgroundStreamer final : public Streamer {
   Observers observers_, looked_at_taken_;
   StreamStats stats_taken_;
   uint64_t taken_ = 0;   // number of what stats_taken_ came of
-  float lead_seconds_ = 0;
+  Lead lead_;
   const float jump_m_;
   // The thread's, while it does not hold the lock.
   std::vector<StripPtr> making_;

@@ -62,7 +62,7 @@ Vec3 TurnRate::follow(Vec3 velocity, float seconds) {
 }
 
 PathPlanner::PathPlanner(const formats::World& world, const StreamSettings& settings, std::span<const formats::ChunkPtr> top)
-    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings)), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
+    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings.radius_m, settings.growth)), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
   try {
     thread_ = std::thread([this] { work(); });
   } catch (const std::system_error&) {

@@ -58,7 +58,7 @@ class PathPlanner {
 
   // The frame's: they allocate and free nothing.
   // latency_seconds: that reads take at present.
-  // hints: kMaxObservers at most; lead_seconds: as WantedTiles::walk. So far an observer who goes on as fast as the fastest wants more there, in whatever direction.
+  // hints: kMaxObservers at most; lead_seconds: Lead::shown_seconds. So far an observer who goes on as fast as the fastest wants more there, in whatever direction.
   void aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, float lead_seconds);
   // Whether take() has something new; no lock.
   bool fresh() const { return fresh_.load(); }

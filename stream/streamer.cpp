@@ -79,10 +79,10 @@ class StreamerImpl final : public Streamer {
 
   using Streamer::update;
   bool update(const Observers& observers) override {
-    const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_seconds_ > 0 && turned);
+    const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_.shown_seconds > 0 && turned);
     const bool retries = isRetryDue();
     const bool hinted = std::exchange(hinted_, false) || forgetHints(hints_);
-    if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_seconds_);
+    if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_.shown_seconds);
     const bool planned = planner_ && planner_->fresh();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
@@ -102,7 +102,10 @@ class StreamerImpl final : public Streamer {
     hinted_ = true;
   }
   std::span<const Hint> expected() const override { return hints_; }
-  void setLead(float seconds) override { lead_seconds_ = std::clamp(seconds, 0.0f, 1.0f); }
+  void setLead(const Lead& lead) override {
+    lead_.active_seconds = std::clamp(lead.active_seconds, 0.0f, 1.0f);
+    lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, 1.0f);
+  }
   std::span<const StripPtr> active() const override { return active_; }
 
   Result<void> settle() override {
@@ -224,7 +227,7 @@ class StreamerImpl final : public Streamer {
   }
 
   void walk() {
-    const std::span<const WantedTiles::Tile> now = wanted_.walk(observers_, lead_seconds_);
+    const std::span<const WantedTiles::Tile> now = wanted_.walk(observers_, lead_);
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id) || isAhead(id)) continue;
       cache_.setWanted(id, false);
@@ -330,7 +333,7 @@ class StreamerImpl final : public Streamer {
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // its reads end before the source goes
-  float lead_seconds_ = 0;
+  Lead lead_;
   const uint64_t ahead_bytes_, hint_bytes_, memory_bytes_;
   std::vector<Hint> hints_;
   bool hinted_ = false;  // hints_ are others than the planner has
@@ -347,7 +350,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
   if (!(s.radius_m > 0) || !std::isfinite(s.radius_m))
     return refuse("radius_m is not positive", "give metres, such as 24");
   if (!(s.growth >= 1) || !std::isfinite(s.growth))
-    return refuse("growth is below 1", "coarser levels reach farther; try 1.6");
+    return refuse("growth is below 1", "coarser levels reach farther; try 1.3");
   if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
   if (!(s.ahead_seconds >= 0 && s.ahead_seconds <= 10)) return refuse("ahead_seconds is not between 0 and 10", "try 0.5");

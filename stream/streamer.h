@@ -16,16 +16,15 @@
 
 namespace ff::stream {
 
-// Defaults for patches of 1 m. ff_bench_cut on a town of 59,890, 24 observers, 4096 patches active: reflected radiosity in
-// the inner half errs (worst observer, all together) by 0.84 %, 0.14 % at 8 m (8.6k nodes in the cut); 0.76 %, 0.09 % at 12 m
-// (11.8k); 0.69 %, 0.07 % at 16 m (14.7k); 0.62 %, 0.06 % at 24 m (19.9k). Growth 2 gains a tenth for a third more nodes.
+// Defaults for patches of 1 m, by ff_bench_cut on a town of 1M by night (RESULTS.md): coarse tiles are as wide as their radius and wider, so that
+// a larger growth buys little of what an eye sees within 48 m, and a larger radius much.
 struct StreamSettings {
-  float radius_m = 12;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
-  float growth = 1.6f;                          // g: r_l = r_0 * g^l
+  float radius_m = 16;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
+  float growth = 1.3f;                          // g: r_l = r_0 * g^l; where max_nodes or memory_bytes run out, it is smaller first, by a third of what is above 1, and then r_0
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
-  uint32_t max_level0_nodes = 8192;             // likewise, for active patches
+  uint32_t max_level0_nodes = 24576;            // likewise, for active patches
   uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
@@ -37,6 +36,13 @@ struct StreamSettings {
   float retry_seconds = 5;                      // a strip that failed twice is tried again every so often while it is wanted
   bool background = false;                      // all but handing over is done on a thread of its own (background_streamer.h), so that update() brings
                                                 // what came of the call before
+};
+
+// So long before an observer is near a tile is wanted: what whoever takes active() needs. At most 1 s each.
+struct Lead {
+  float active_seconds = 0;  // until a tile that is active counts
+  float shown_seconds = 0;   // until patches are shown by light of their own; not less. Coarser levels, which reach farther, have what is left of it at their radius
+  friend bool operator==(const Lead&, const Lead&) = default;
 };
 
 struct StreamStats {
@@ -64,8 +70,8 @@ class Streamer {
   // is left. Replaces those before; each is forgotten kHintStays after its time.
   virtual void expect(std::span<const Hint> hints) = 0;
   virtual std::span<const Hint> expected() const = 0;
-  // From the next update() on a tile is wanted so long before an observer is near: what whoever takes active() needs until it counts. At most 1; 0 at first.
-  virtual void setLead(float seconds) = 0;
+  // From the next update() on.
+  virtual void setLead(const Lead& lead) = 0;
   // Active strips, sorted by (level, tile). A level-l tile is active when it is wanted, resident, and its parent tile
   // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time

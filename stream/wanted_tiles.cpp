@@ -1,6 +1,7 @@
 #include "stream/wanted_tiles.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "formats/codec/strip_codec.h"
 
@@ -13,6 +14,7 @@ namespace {
 constexpr size_t kHeapAtFirst = 65536;    // tiles that are offered and not wanted; or those of the whole world
 constexpr size_t kChunksAtFirst = 4096;   // that are here, before the table takes more memory
 constexpr size_t kMissingAtFirst = 1024;
+constexpr float kLeastGrowth = 2.0f / 3;  // of the growth, less 1
 constexpr uint32_t kWalksKept = 600;      // a chunk that so many walks have not looked at is forgotten: 10 s at 60 frames a second
 }  // namespace
 
@@ -27,14 +29,15 @@ uint64_t residentBytesBound(const formats::World& world, const TileInfo& info) {
          info.entries * sizeof(ResidentStrip::Run) + words * 2 + lamps * sizeof(formats::LampLight);
 }
 
-std::vector<float> radiiOf(const formats::World& world, const StreamSettings& settings) {
-  std::vector<float> radius_m(world.levels().size(), settings.radius_m);
-  for (size_t level = 1; level < radius_m.size(); ++level) radius_m[level] = radius_m[level - 1] * settings.growth;
+std::vector<float> radiiOf(const formats::World& world, float radius_0, float growth) {
+  std::vector<float> radius_m(world.levels().size(), radius_0);
+  for (size_t level = 1; level < radius_m.size(); ++level) radius_m[level] = radius_m[level - 1] * growth;
   return radius_m;
 }
 
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
-    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings)) {
+    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings.radius_m, settings.growth)),
+      least_radius_m_(radiiOf(world, settings.radius_m, 1 + kLeastGrowth * (settings.growth - 1))), ways_(world.levels().size() * kMaxObservers) {
   size_t tiles = 0;
   for (const formats::LevelInfo& level : world.levels()) tiles += level.tiles;
   // A tile has a node at least, and is offered once.
@@ -64,10 +67,18 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
   }
 }
 
-std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, float lead_seconds) {
+std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, const Lead& lead) {
   ++walks_;
   observers_ = observers;
-  lead_seconds_ = lead_seconds;
+  for (size_t i = 0; i < observers_.size(); ++i) {
+    const Vec3 velocity = observers_[i].velocity;
+    const float speed = length(velocity);
+    for (size_t level = 0; level < radius_m_.size(); ++level) {
+      // A tile needs its parent, so that each level goes as far ahead as level 0 at least.
+      const float left = speed > 0 ? lead.shown_seconds - (radius_m_[level] - radius_m_[0]) / speed : 0;
+      ways_[level * kMaxObservers + i] = velocity * std::max(lead.active_seconds, left);
+    }
+  }
   wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();
@@ -120,20 +131,26 @@ void WantedTiles::admit(const Tile& tile) {
     offerChildren(tile);
 }
 
+float WantedTiles::urgency(float distance, uint32_t level) const {
+  const float least = least_radius_m_[level];
+  if (distance < least || !(radius_m_[level] > least)) return distance / least;
+  return 1 + std::log(distance / least) / std::log(radius_m_[level] / least);  // linear in the growth's logarithm that would do, as a share of what there is
+}
+
 void WantedTiles::offerChildren(const Tile& parent) {
   const uint32_t level = parent.id.level - 1;
   const TileInfo& info = parent.info();
   const uint32_t child = parent.chunk->childWith(info.first_child);
   const float wide = radius_m_[level] * settings_.hysteresis;
-  if (distance(parent.chunk->children[child].bounds) >= wide) return;
+  if (distance(parent.chunk->children[child].bounds, level) >= wide) return;
   const formats::Chunk* chunk = look(*parent.chunk, child);
   if (!chunk) return;
   for (uint32_t t = info.first_child; t < info.end_child; ++t) {
     const Tile tile{{level, t}, chunk};
     const bool stays = contains(wanted_before_, tile.id);
-    const float key = distance(tile.info().bounds) / (stays ? wide : radius_m_[level]);
-    if (!(key < 1)) continue;
-    heap_.push_back({key, tile});
+    const float away_m = distance(tile.info().bounds, level) / (stays ? settings_.hysteresis : 1);
+    if (!(away_m < radius_m_[level])) continue;
+    heap_.push_back({urgency(away_m, level), tile});
     std::push_heap(heap_.begin(), heap_.end());
   }
 }

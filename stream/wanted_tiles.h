@@ -16,13 +16,13 @@ namespace ff::stream {
 uint64_t residentBytesBound(const formats::World& world, const formats::TileInfo& info);
 
 // Within which a tile is wanted, m, by its level.
-std::vector<float> radiiOf(const formats::World& world, const StreamSettings& settings);
+std::vector<float> radiiOf(const formats::World& world, float radius_0, float growth);
 
 // The wanted set; walks allocate nothing, but for a heap that outgrows kHeapAtFirst once. The top level is always wanted; another tile when its parent tile is and its bounds
 // are within its level's radius of the observer (times hysteresis if the walk before wanted it).
-// Tiles are admitted in order of distance over radius (their own or an ancestor's, whichever is larger), so a budget
-// that runs out acts as a smaller radius_m: max_nodes and memory_bytes end the walk, max_level0_nodes only closes level
-// 0.
+// Tiles are admitted in order of their urgency (their own or an ancestor's, whichever is larger), so a budget that runs out acts as
+// a smaller growth, down to kLeastGrowth of what it is above 1, and then as a smaller radius_m: max_nodes and memory_bytes end the walk,
+// max_level0_nodes only closes level 0.
 class WantedTiles {
  public:
   struct Tile {
@@ -37,8 +37,8 @@ class WantedTiles {
   // A chunk's index has come: the next walk goes on there.
   void add(formats::ChunkPtr chunk);
   // Wanted tiles sorted by (level, tile). Valid until the next walk.
-  // lead_seconds: until what is active counts; what is near where the observers will be then, or on the way, is as near.
-  std::span<const Tile> walk(const Observers& observers, float lead_seconds);
+  // What is near where the observers will be after the lead, or on the way, is as near.
+  std::span<const Tile> walk(const Observers& observers, const Lead& lead);
   std::span<const Tile> wanted() const { return wanted_; }
   // Chunks beyond which the last walk could not look, the most urgent last. Valid until the next walk.
   std::span<const ChunkRequest> missingChunks() const { return missing_; }
@@ -54,7 +54,7 @@ class WantedTiles {
 
  private:
   struct Candidate {
-    float key = 0;  // distance over radius
+    float key = 0;  // urgency
     Tile tile;
     // For a heap whose front is next: nearest first, then the coarser level, then the lower tile.
     friend bool operator<(const Candidate& a, const Candidate& b) {
@@ -71,11 +71,14 @@ class WantedTiles {
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
   void admit(const Tile& tile);
   void offerChildren(const Tile& parent);
+  // Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2.
+  float urgency(float distance, uint32_t level) const;
   // To the nearest observer's way: near enough by its ends and its place that is nearest to the middle of the box.
-  float distance(const Box& bounds) const {
+  float distance(const Box& bounds, uint32_t level) const {
     float nearest = observers_.distance(bounds);
-    for (const Observer& observer : observers_) {
-      const Vec3 way = observer.velocity * lead_seconds_;
+    for (size_t i = 0; i < observers_.size(); ++i) {
+      const Observer& observer = observers_[i];
+      const Vec3 way = ways_[level * kMaxObservers + i];
       if (way == Vec3{}) continue;
       const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer.at, way) / dot(way, way), 0.0f, 1.0f);
       nearest = std::min({nearest, bounds.distance(observer.at + way), bounds.distance(observer.at + way * along)});
@@ -86,9 +89,9 @@ class WantedTiles {
   const formats::World& world_;
   const StreamSettings settings_;
   Observers observers_;  // of the walk
-  float lead_seconds_ = 0;
   size_t max_wanted_ = 0;
-  std::vector<float> radius_m_;  // per level
+  std::vector<float> radius_m_, least_radius_m_;  // per level; those of the least growth
+  std::vector<Vec3> ways_;       // of the lead's time: by level and observer
   TileMap<Here> chunks_;         // by their first tile
   uint32_t walks_ = 0;
   std::vector<Candidate> heap_;

@@ -79,13 +79,13 @@ typedef enum FormfieldStorage { FORMFIELD_STORAGE_FLOAT32 = 0, FORMFIELD_STORAGE
 
 typedef struct FormfieldWorldSettings {
   uint32_t size;               /* sizeof(FormfieldWorldSettings) */
-  float radius_m;              /* within it light is computed patch by patch; beyond, ever coarser; 0: 12 patches' edges */
+  float radius_m;              /* within it light is computed patch by patch; beyond, ever coarser; 0: 16 patches' edges */
   float growth;                /* of the radius from level to level */
   float hysteresis;            /* tiles leave this factor farther away than they enter */
   uint64_t memory_bytes;       /* of strips in memory */
   uint64_t kept_bytes;         /* of these, of strips that are wanted no more: for the observer's return */
   uint32_t max_patches;        /* active at once */
-  uint32_t max_nodes;          /* of all levels, up to FORMFIELD_MAX_SLOTS */
+  uint32_t max_nodes;          /* of all levels, up to FORMFIELD_MAX_SLOTS; where they run out, growth is smaller first, then the radius */
   uint32_t decode_threads;
   FormfieldSolver solver;
   FormfieldStorage storage;    /* of dense matrices */

@@ -25,7 +25,7 @@ struct Options {
   int observers = 24, eyes = 32;
   float growth = stream::StreamSettings{}.growth;
   float radius_m = stream::StreamSettings{}.radius_m;
-  uint32_t max_patches = 4096;
+  uint32_t max_patches = stream::StreamSettings{}.max_level0_nodes;
 };
 
 struct Solved {

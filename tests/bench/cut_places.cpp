@@ -13,7 +13,7 @@ namespace {
 using namespace ff::runtime;
 
 constexpr float kEyeHeight_m = 1.6f;
-constexpr std::array kDistances_m{6, 12, 24};
+constexpr std::array kDistances_m{6, 12, 24, 48, 96};
 // Of its sky, a floor in a street sees between these, one in a room less; roofs and fields see more. (Cosine-weighted.)
 constexpr float kRoomSky = 0.02f, kStreetSky = 0.6f;
 constexpr float kStep_m = 0.5f;  // a frame, at 30 m/s and 60 frames a second

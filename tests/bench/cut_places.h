@@ -20,7 +20,7 @@ struct CutSettings {
   uint32_t max_patches = 0;
 };
 
-// Prints cut.full_resolution_Nm and cut.median_error_Nm for N = 6, 12, 24, cut.slots, cut.entries and cut.tiles.
+// Prints cut.full_resolution_Nm and cut.median_error_Nm for N = 6, 12, 24, 48, 96, cut.slots, cut.entries and cut.tiles.
 void printFixedDistances(const formats::WholeWorld& world, const Truth& truth, const CutSettings& settings, int eyes);
 
 // Prints cut.change_ms (worst; median in the note) of walks at 30 m/s, 60 frames a second: along a line, there and back, and in a circle.

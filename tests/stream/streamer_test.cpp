@@ -172,7 +172,7 @@ TEST_F(StreamerTest, HysteresisKeepsATileThatADistanceWithoutHistoryWouldNotWant
 }
 
 TEST_F(StreamerTest, ABudgetAdmitsTheNearestTilesFirst) {
-  const auto budgeted = make({.radius_m = 20, .hysteresis = 1.0f, .max_level0_nodes = 300}, memory());
+  const auto budgeted = make({.radius_m = 20, .growth = 1.6f, .hysteresis = 1.0f, .max_level0_nodes = 300}, memory());
   std::mt19937_64 random(5);
   for (int i = 0; i < 10; ++i) {
     const Vec3 at = randomPlace(random);
@@ -191,6 +191,57 @@ TEST_F(StreamerTest, ABudgetAdmitsTheNearestTilesFirst) {
         ASSERT_TRUE(std::binary_search(settled.begin(), settled.end(), id));
       }
   }
+}
+
+// Growth 1.6, and 1.4 at least: what lies within the radii of that is there first.
+TEST_F(StreamerTest, ABudgetOfNodesActsAsASmallerGrowthFirst) {
+  std::mt19937_64 random(15);
+  size_t less = 0;
+  for (int i = 0; i < 20; ++i) {
+    const Vec3 at = randomPlace(random);
+    const std::vector<TileId> least = wantedByDefinition(at, 8, 1.4f), most = wantedByDefinition(at, 8, 1.6f);
+    const auto nodes = [&](const std::vector<TileId>& tiles) {
+      uint32_t sum = 0;
+      for (const TileId id : tiles) sum += world_->tiles(id.level)[id.tile].nodes;
+      return sum;
+    };
+    for (const uint32_t budget : {nodes(least), (nodes(least) + nodes(most)) / 2, nodes(most)}) {
+      const auto streamer = make({.radius_m = 8, .growth = 1.6f, .hysteresis = 1.0f, .max_nodes = budget}, memory());
+      const auto settled = settledAt(*streamer, at);
+      ASSERT_LE(nodes(settled), budget);
+      ASSERT_TRUE(std::ranges::includes(settled, least));
+      ASSERT_TRUE(std::ranges::includes(most, settled));
+      less += settled.size() < most.size();
+    }
+    EXPECT_EQ(settledAt(*make({.radius_m = 8, .growth = 1.6f, .hysteresis = 1.0f, .max_nodes = nodes(most)}, memory()), at), most);
+  }
+  EXPECT_GT(less, 10u);
+}
+
+// Level 0 is wanted so far ahead as its light takes; coarser levels so far as they do not reach by themselves.
+TEST_F(StreamerTest, TheLeadIsThatOfWhatIsShown) {
+  const auto streamer = make({.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f}, memory());
+  streamer->setLead({.active_seconds = 0.1f, .shown_seconds = 0.5f});
+  const Vec3 at{20, 1, 30}, velocity{20, 0, 0};
+  const auto nearTheWay = [&](uint32_t level, float ahead_m) {
+    std::set<TileId> near;
+    for (const formats::TileInfo& info : world_->tiles(level)) {
+      float nearest = 1e9f;
+      for (float m = 0; m <= ahead_m; m += 0.01f) nearest = std::min(nearest, info.bounds.distance(at + Vec3{m, 0, 0}));
+      if (nearest < 6 * std::pow(1.6f, static_cast<float>(level)) - 0.05f) near.insert(info.id);
+    }
+    return near;
+  };
+  streamer->update(at, velocity);
+  ASSERT_TRUE(streamer->settle());
+  const auto settled = ids(*streamer);
+  const float ahead_m[] = {10, 10 - 3.6f, 2};  // level 2 reaches 9.36 m farther than level 0 by itself
+  for (uint32_t level = 0; level < 3; ++level)
+    for (const TileId id : nearTheWay(level, ahead_m[level])) EXPECT_TRUE(std::ranges::binary_search(settled, id)) << level << ":" << id.tile;
+  for (const TileId id : settled)
+    if (id.level < 3) {
+      EXPECT_LT(world_->tiles(id.level)[id.tile].bounds.distance(at), 6 * std::pow(1.6f, static_cast<float>(id.level)) + ahead_m[id.level] + 0.01f);
+    }
 }
 
 TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
@@ -384,7 +435,7 @@ TEST_F(StreamerTest, ATopLevelThatCannotBeReadIsAnErrorOfCreate) {
 TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
   auto source = memory();
   MemorySource* const held = source.get();
-  const auto streamer = make({.radius_m = 6, .hysteresis = 1.0f, .queue_depth = 4}, std::move(source));
+  const auto streamer = make({.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f, .queue_depth = 4}, std::move(source));
   held->hold(true);
   EXPECT_FALSE(streamer->update({5, 1, 5}, {}));  // would hang here if it waited
   // The index comes first, a level at a time; another thread starts the reads.

@@ -253,7 +253,7 @@ TEST_F(Reload, AWorldThatIsLookedAtTriesAgainAtTheNextChangeAndKeepsToTheSameByt
   for (int i = 0; i < 100; ++i) ASSERT_TRUE(walkUntil([] { return true; }));
   EXPECT_EQ(stats(world_).reloads, 0u);
   formats::writeFile(path_, std::vector<std::byte>(1000));
-  ASSERT_TRUE(walkUntil([&] { return stats(world_).reload_failures == 1; }));
+  ASSERT_TRUE(walkUntil([&] { return stats(world_).reload_failures >= 1; }));  // 2 if it was looked at while it was being written
   EXPECT_NE(std::string(formfieldReloadFailure(world_)), "");
   auto other = kFirst;
   other.seed = 3;

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "stream/streamer.h"
 #include "tools/chart/report.h"
 
 namespace ff::chart {
@@ -24,9 +25,9 @@ struct Knobs {
   Method method = Method::kGather;
   int iterations = 1;          // k: solver steps a frame
   uint32_t places = 4096;      // of a dense matrix
-  float radius_m = 12;         // r_0
-  float growth = 1.6f;         // g
-  uint32_t max_patches = 4096; // active at once
+  float radius_m = stream::StreamSettings{}.radius_m;  // r_0
+  float growth = stream::StreamSettings{}.growth;      // g
+  uint32_t max_patches = stream::StreamSettings{}.max_level0_nodes;  // active at once
   bool pyramid = true;         // false: one constant for all that is far
   int every = 1;               // the cut follows the observer every so many frames
   uint32_t shadow_rays = 256;  // per patch, of the direct light that the run time is given

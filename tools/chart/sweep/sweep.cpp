@@ -36,9 +36,9 @@ std::vector<Varied> settingsToTry(const Knobs& standard, bool quick) {
   // The run time: no bake anew.
   for (const float f : quick ? times(0.5f, 2.0f) : times(0.33f, 0.67f, 1.33f, 2.0f))
     vary("radius", "radius " + metres(standard.radius_m * f), [&](Knobs& k) { k.radius_m *= f; });
-  for (const float g : quick ? times(2.0f) : times(1.3f, 2.0f))
+  for (const float g : quick ? times(2.0f) : times(1.2f, 1.6f, 2.0f))
     vary("growth", fmt::format("growth {:.1f}", static_cast<double>(g)), [&](Knobs& k) { k.growth = g; });
-  for (const uint32_t n : quick ? std::vector<uint32_t>{1024} : std::vector<uint32_t>{1024, 16384})
+  for (const uint32_t n : quick ? std::vector<uint32_t>{1024} : std::vector<uint32_t>{1024, 4096})
     vary("most patches", fmt::format("at most {} patches", n), [&](Knobs& k) { k.max_patches = n; });
   vary("far light", "a constant for what is far", [](Knobs& k) { k.pyramid = false; });
   for (const int n : quick ? std::vector<int>{4} : std::vector<int>{2, 4, 8})
