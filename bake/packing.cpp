@@ -2,25 +2,37 @@
 
 #include <zstd.h>
 
+#include <memory>
+
 namespace ff::bake {
 namespace {
 
 constexpr int kLevel = 1;
 constexpr uint64_t kMostBytes = uint64_t{1} << 32;  // no part of anything comes near it
 
+// Contexts are as large as what they pack: each thread keeps one of each.
+struct FreeContext {
+  void operator()(ZSTD_CCtx* c) const { ZSTD_freeCCtx(c); }
+  void operator()(ZSTD_DCtx* c) const { ZSTD_freeDCtx(c); }
+};
+
 }  // namespace
 
 std::vector<std::byte> packed(std::span<const std::byte> raw) {
-  std::vector<std::byte> frame(ZSTD_compressBound(raw.size()));
-  const size_t size = ZSTD_compress(frame.data(), frame.size(), raw.data(), raw.size(), kLevel);
-  frame.resize(ZSTD_isError(size) ? 0 : size);
-  return frame;
+  thread_local const std::unique_ptr<ZSTD_CCtx, FreeContext> context(ZSTD_createCCtx());
+  const size_t room = ZSTD_compressBound(raw.size());
+  const auto frame = std::make_unique_for_overwrite<std::byte[]>(room);
+  const size_t size = context ? ZSTD_compressCCtx(context.get(), frame.get(), room, raw.data(), raw.size(), kLevel) : 0;
+  if (ZSTD_isError(size)) return {};
+  return {frame.get(), frame.get() + size};
 }
 
 std::optional<std::vector<std::byte>> unpacked(std::span<const std::byte> frame, uint64_t bytes) {
   if (bytes > kMostBytes) return {};
   std::vector<std::byte> raw(bytes);
-  const size_t got = ZSTD_decompress(raw.data(), raw.size(), frame.data(), frame.size());
+  thread_local const std::unique_ptr<ZSTD_DCtx, FreeContext> context(ZSTD_createDCtx());
+  if (!context) return {};
+  const size_t got = ZSTD_decompressDCtx(context.get(), raw.data(), raw.size(), frame.data(), frame.size());
   if (ZSTD_isError(got) || got != bytes) return {};
   return raw;
 }

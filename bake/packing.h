@@ -17,8 +17,35 @@ inline void putVarint(formats::ByteWriter& out, uint64_t value) {
   out.u8(static_cast<uint8_t>(value));
 }
 
+// Many of them. `out` is whole again when it goes out of scope.
+class VarintAppender {
+ public:
+  explicit VarintAppender(formats::ByteWriter& out) : bytes_(out.data()), used_(bytes_.size()) {}
+  ~VarintAppender() { bytes_.resize(used_); }
+  VarintAppender(const VarintAppender&) = delete;
+  VarintAppender& operator=(const VarintAppender&) = delete;
+
+  void put(uint32_t value) {
+    if (bytes_.size() - used_ < kMaxBytes) bytes_.resize(2 * used_ + kMaxBytes);
+    for (; value >= 0x80; value >>= 7) bytes_[used_++] = static_cast<std::byte>(value | 0x80);
+    bytes_[used_++] = static_cast<std::byte>(value);
+  }
+
+ private:
+  static constexpr size_t kMaxBytes = 5;
+  std::vector<std::byte>& bytes_;
+  size_t used_;
+};
+
 inline uint64_t takeVarint(formats::ByteReader& in) {
   uint64_t value = 0;
+  if (const auto rest = in.rest(); rest.size() >= 10) {  // cannot read past the end
+    size_t n = 0;
+    for (; n < 9 && (rest[n] & std::byte{0x80}) != std::byte{0}; ++n) value |= uint64_t{std::to_integer<uint8_t>(rest[n]) & 0x7fu} << 7 * n;
+    value |= uint64_t{std::to_integer<uint8_t>(rest[n]) & 0x7fu} << 7 * n;
+    in.unused(n + 1);
+    return value;
+  }
   for (int shift = 0; shift < 64; shift += 7) {
     uint8_t byte = 0;
     in.u8(byte);

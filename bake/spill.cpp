@@ -40,7 +40,6 @@ Spill::Block Spill::put(std::span<const std::byte> raw) {
   const std::lock_guard lock(mutex_);
   if (held_ + block.packed_bytes <= memory_bytes_) {
     held_ += block.packed_bytes;
-    block.held.shrink_to_fit();
     return block;
   }
   if (!in_) {

@@ -63,6 +63,7 @@ class ByteReader {
   bool reservedUsed() const { return reserved_used_; }  // some reserved byte was not zero
   size_t position() const { return position_; }
   size_t remaining() const { return bytes_.size() - position_; }
+  std::span<const std::byte> rest() const { return bytes_.subspan(position_); }
 
  private:
   bool has(size_t n) {
