@@ -17,15 +17,8 @@ void PutAside::put(uint32_t first, const HitRows& rows) {
     std::atomic_ref(pooling_bytes_[patch]).fetch_add(static_cast<uint32_t>(bytes), std::memory_order_relaxed);
   };
   for (size_t p = 0; p < rows.patches(); ++p)
-    count(first + p, HitPool::kBytesANode + rows.lamps[p].size() * sizeof(LampIrradiance) + HitPool::kBytesARun + (rows.start[p + 1] - rows.start[p]) * HitPool::kBytesAHit);
-  std::vector<uint32_t> hit = rows.column;
-  std::sort(hit.begin(), hit.end());
-  for (size_t k = 0; k < hit.size();) {  // those of one range at a patch are a run there
-    size_t end = k + 1;
-    while (end < hit.size() && hit[end] == hit[k]) ++end;
-    count(hit[k], HitPool::kBytesARun + (end - k) * HitPool::kBytesAHit);
-    k = end;
-  }
+    count(first + p, HitPool::kBytesANode + rows.lamps[p].size() * sizeof(LampIrradiance) + (rows.start[p + 1] - rows.start[p]) * HitPool::kBytesAHit);
+  for (const uint32_t hit : rows.column) count(hit, HitPool::kBytesAHit);
   Range range{first, spill_.put(encoded(rows)), rows.leaks};
   const std::lock_guard lock(mutex_);
   ranges_.push_back(std::move(range));

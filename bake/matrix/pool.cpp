@@ -3,11 +3,14 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <atomic>
 #include <numeric>
-#include <tuple>
+#include <ranges>
 #include <utility>
 
+#include "bake/memory.h"
 #include "bake/packing.h"
+#include "bake/sorting.h"
 
 namespace ff::bake {
 namespace {
@@ -19,41 +22,51 @@ struct HitWeight {
   uint32_t parts;  // in 1 / kRayParts of a ray, if by geometry; else rays
   bool by_geometry, whole, of_other;
 
-  static HitWeight of(const HitRows& rows, uint64_t entry, bool other) {
+  static HitWeight of(const HitRows& rows, uint64_t entry) {
     const bool told = rows.estimate[entry] > 0;
-    return {told ? rows.estimate[entry] : rows.count[entry], told, rows.whole[entry] > 0, other};
+    return {told ? rows.estimate[entry] : rows.count[entry], told, rows.whole[entry] > 0, false};
   }
-  static HitWeight of(uint32_t bits) { return {bits >> 3, (bits & 1) != 0, (bits & 2) != 0, (bits & 4) != 0}; }
-  uint32_t bits() const { return parts << 3 | uint32_t{of_other} << 2 | uint32_t{whole} << 1 | uint32_t{by_geometry}; }
+  static HitWeight of(uint32_t bits) { return {bits >> 3, (bits & 1) != 0, (bits & 2) != 0, (bits & kOfOther) != 0}; }
+  uint32_t bits() const { return parts << 3 | (of_other ? kOfOther : 0u) | uint32_t{whole} << 1 | uint32_t{by_geometry}; }
   double rays() const { return by_geometry ? parts / kRayParts : parts; }
+
+  static constexpr uint32_t kOfOther = 4;
 };
 
 // A hit as wanted at one end.
 struct Wanted {
   uint32_t node, column, weight;
-  friend bool operator<(const Wanted& a, const Wanted& b) { return std::tie(a.node, a.column) < std::tie(b.node, b.column); }
 };
 
-// What one range of patches has for one bucket.
-struct Parcel {
-  std::vector<Wanted> hits;                         // by node and column
-  std::vector<std::pair<uint32_t, size_t>> patches;  // node, number in the range: what it sees besides
-};
+constexpr auto nodeOf = [](const Wanted& hit) { return hit.node; };  // inlined where it is called, which a function's address is not
 
-void putRuns(ByteWriter& out, std::span<const Wanted> hits, uint32_t first_node) {
+// Hits at nodes [begin, end), of those that are sorted by node.
+std::span<const Wanted> wantedAt(const std::vector<Wanted>& hits, uint32_t begin, uint32_t end) {
+  const auto first = std::ranges::lower_bound(hits, begin, {}, nodeOf);
+  return {first, std::ranges::lower_bound(first, hits.end(), end, {}, nodeOf)};
+}
+
+// The first hit behind those at the same node as the k-th.
+size_t runEnd(std::span<const Wanted> hits, size_t k) {
+  const uint32_t node = hits[k].node;
+  while (k < hits.size() && hits[k].node == node) ++k;
+  return k;
+}
+
+// end: of the rays that the hits are of, HitWeight::kOfOther or 0.
+void putRuns(ByteWriter& out, std::span<const Wanted> hits, uint32_t first_node, uint32_t end) {
   size_t runs = 0;
-  for (size_t k = 0; k < hits.size(); ++k) runs += k == 0 || hits[k].node != hits[k - 1].node;
-  putVarint(out, hits.size());
+  for (size_t k = 0; k < hits.size(); k = runEnd(hits, k)) ++runs;
   putVarint(out, runs);
+  VarintAppender numbers(out);
   uint32_t last_node = first_node;
   for (size_t k = 0; k < hits.size();) {
-    size_t end = k + 1;
-    while (end < hits.size() && hits[end].node == hits[k].node) ++end;
-    putVarint(out, hits[k].node - std::exchange(last_node, hits[k].node));
-    putVarint(out, end - k);
-    for (uint32_t last = 0; k < end; ++k) {
-      putVarint(out, hits[k].column - std::exchange(last, hits[k].column));
-      putVarint(out, hits[k].weight);
+    const size_t run_end = runEnd(hits, k);
+    numbers.put(hits[k].node - std::exchange(last_node, hits[k].node));
+    numbers.put(static_cast<uint32_t>(run_end - k));
+    for (uint32_t last = 0; k < run_end; ++k) {
+      numbers.put(hits[k].column - std::exchange(last, hits[k].column));
+      numbers.put(hits[k].weight | end);
     }
   }
 }
@@ -63,29 +76,36 @@ void putRuns(ByteWriter& out, std::span<const Wanted> hits, uint32_t first_node)
 double ExchangeRow::total_m2() const { return std::accumulate(area_m2.begin(), area_m2.end(), sky_m2 + absorbed_m2); }
 
 void HitPool::add(uint32_t first_patch, const HitRows& rows) {
-  const auto bucketOf = [&](uint32_t node) {
-    return static_cast<size_t>(std::upper_bound(bucket_start_.begin(), bucket_start_.end(), node) - bucket_start_.begin()) - 1;
-  };
-  std::vector<Parcel> parcels(buckets());
-  for (size_t p = 0; p < rows.patches(); ++p) {
-    const uint32_t i = number_[first_patch + p];
-    Parcel& own = parcels[bucketOf(i)];
-    own.patches.emplace_back(i, p);
-    for (uint64_t k = rows.start[p]; k < rows.start[p + 1]; ++k) {
-      const uint32_t j = number_[rows.column[k]];
-      own.hits.push_back({i, j, HitWeight::of(rows, k, false).bits()});
-      parcels[bucketOf(j)].hits.push_back({j, i, HitWeight::of(rows, k, true).bits()});
+  using NodePatch = std::pair<uint32_t, size_t>;
+  std::vector<NodePatch> patches;  // node, number in the range
+  for (size_t p = 0; p < rows.patches(); ++p) patches.emplace_back(number_[first_patch + p], p);
+  std::sort(patches.begin(), patches.end());
+  // Sorted by node alone, stably, columns ascend as well.
+  std::vector<Wanted> own, others, scratch;
+  others.reserve(rows.column.size());
+  for (const auto& [i, p] : patches)
+    for (uint64_t k = rows.start[p]; k < rows.start[p + 1]; ++k) others.push_back({number_[rows.column[k]], i, HitWeight::of(rows, k).bits()});
+  sortByKey(others, scratch, nodeOf);
+  own.reserve(others.size());
+  for (const Wanted& hit : others) own.push_back({hit.column, hit.node, hit.weight});
+  sortByKey(own, scratch, nodeOf);
+  release(scratch);
+  for (const auto* hits : {&own, &others})
+    for (size_t k = 0; k < hits->size();) {
+      const size_t end = runEnd(*hits, k);
+      std::atomic_ref(wanted_[(*hits)[k].node]).fetch_add(static_cast<uint32_t>(end - k), std::memory_order_relaxed);
+      k = end;
     }
-  }
-  for (size_t b = 0; b < parcels.size(); ++b) {
-    Parcel& parcel = parcels[b];
-    if (parcel.hits.empty() && parcel.patches.empty()) continue;
-    std::sort(parcel.hits.begin(), parcel.hits.end());
+  for (size_t b = 0; b < buckets(); ++b) {
+    const uint32_t begin = bucket_start_[b], end = bucket_start_[b + 1];
+    const auto seen = std::ranges::subrange(std::ranges::lower_bound(patches, begin, {}, &NodePatch::first), std::ranges::lower_bound(patches, end, {}, &NodePatch::first));
+    const std::span<const Wanted> own_hits = wantedAt(own, begin, end), other_hits = wantedAt(others, begin, end);
+    if (seen.empty() && other_hits.empty()) continue;
     ByteWriter out;
-    putVarint(out, parcel.patches.size());
-    for (const auto& [node, p] : parcel.patches) {
+    putVarint(out, seen.size());
+    for (const auto& [node, p] : seen) {
       const auto whole = static_cast<double>(area_m2_[first_patch + p]);
-      putVarint(out, node - bucket_start_[b]);
+      putVarint(out, node - begin);
       out.f64(static_cast<double>(rows.sky_fraction[p]) * whole);
       out.f64(rows.absorbed[p] / density_[node]);
       skyFields(out, rows.sky_means[p]);
@@ -94,13 +114,13 @@ void HitPool::add(uint32_t first_patch, const HitRows& rows) {
         for (double& x : lamp.rgb) x *= whole;
       putLamps(out, lamps);
     }
-    putRuns(out, parcel.hits, bucket_start_[b]);
+    putRuns(out, own_hits, begin, 0);
+    putRuns(out, other_hits, begin, HitWeight::kOfOther);
     Spill::Block block = spill_.put(out.data());
     const std::lock_guard lock(bucket_[b].mutex);
     bucket_[b].blocks.push_back(std::move(block));
   }
 }
-
 PooledRows HitPool::take(size_t bucket) {
   const uint32_t first = bucket_start_[bucket], n = bucket_start_[bucket + 1] - first;
   std::vector<Spill::Block> blocks = std::move(bucket_[bucket].blocks);
@@ -108,8 +128,10 @@ PooledRows HitPool::take(size_t bucket) {
   pooled.density_ = density_;
   pooled.first_ = first;
   pooled.ends_.resize(n);
-  pooled.hits_.resize(blocks.size());
-  std::vector<std::vector<std::pair<uint32_t, PooledRows::Run>>> runs(blocks.size());  // node from `first` on
+  pooled.start_.assign(n + 1, 0);
+  for (uint32_t i = 0; i < n; ++i) pooled.start_[i + 1] = pooled.start_[i] + wanted_[first + i];
+  pooled.hits_ = std::make_unique_for_overwrite<PooledRows::Hits[]>(pooled.start_.back());
+  std::vector<uint64_t> next(pooled.start_.begin(), pooled.start_.end() - 1);  // where a node's further hits go
   tbb::parallel_for(size_t{0}, blocks.size(), [&](size_t k) {
     const std::vector<std::byte> raw = spill_.get(std::exchange(blocks[k], {}));
     ByteReader in(raw);
@@ -120,47 +142,37 @@ PooledRows HitPool::take(size_t bucket) {
       skyFields(in, ends.sky_means);
       ends.lamps = takeLamps(in);
     }
-    std::vector<PooledRows::Hits>& hits = pooled.hits_[k];
-    hits.reserve(takeVarint(in));
-    runs[k].resize(takeVarint(in));
-    uint32_t node = 0;
-    for (auto& [of, run] : runs[k]) {
-      of = node += static_cast<uint32_t>(takeVarint(in));
-      run.block = static_cast<uint32_t>(k);
-      run.begin = static_cast<uint32_t>(hits.size());
-      run.end = run.begin + static_cast<uint32_t>(takeVarint(in));
-      for (uint32_t column = 0; hits.size() < run.end;) {
-        column += static_cast<uint32_t>(takeVarint(in));
-        hits.push_back({column, static_cast<uint32_t>(takeVarint(in))});
+    for (int end = 0; end < 2; ++end) {
+      uint32_t node = 0;
+      for (uint64_t runs = takeVarint(in); runs > 0; --runs) {
+        node += static_cast<uint32_t>(takeVarint(in));
+        const uint64_t hits = takeVarint(in);
+        PooledRows::Hits* at = &pooled.hits_[std::atomic_ref(next[node]).fetch_add(hits, std::memory_order_relaxed)];
+        uint32_t column = 0;
+        for (const PooledRows::Hits* last = at + hits; at < last; ++at) {
+          column += static_cast<uint32_t>(takeVarint(in));
+          *at = {column, static_cast<uint32_t>(takeVarint(in))};
+        }
       }
     }
   });
-  pooled.run_start_.assign(n + 1, 0);
-  for (const auto& of_block : runs)
-    for (const auto& run : of_block) ++pooled.run_start_[run.first + 1];
-  std::partial_sum(pooled.run_start_.begin(), pooled.run_start_.end(), pooled.run_start_.begin());
-  pooled.runs_.resize(pooled.run_start_.back());
-  std::vector<uint64_t> next(pooled.run_start_.begin(), pooled.run_start_.end() - 1);
-  for (const auto& of_block : runs)
-    for (const auto& [node, run] : of_block) pooled.runs_[next[node]++] = run;
   return pooled;
 }
 
 void PooledRows::row(uint32_t node, ExchangeRow& out) const {
   const uint32_t i = node - first_;
-  std::vector<std::pair<uint32_t, uint32_t>> all;  // column, weight
-  for (uint64_t r = run_start_[i]; r < run_start_[i + 1]; ++r)
-    for (size_t k = runs_[r].begin; k < runs_[r].end; ++k) all.emplace_back(hits_[runs_[r].block][k].column, hits_[runs_[r].block][k].weight);
-  std::sort(all.begin(), all.end());
+  thread_local std::vector<Hits> all, scratch;
+  all.assign(&hits_[start_[i]], &hits_[start_[i + 1]]);
+  sortByKey(all, scratch, [](const Hits& hits) { return hits.column; });  // of a pair, at most one from each end, in any order: sums of two are the same
   out.column.clear();
   out.area_m2.clear();
   const double own = density_[node];
   for (size_t k = 0; k < all.size();) {
-    const uint32_t j = all[k].first;
+    const uint32_t j = all[k].column;
     double told = 0, told_density = 0, counted = 0;  // rays, by geometry and counted; how dense those of the ends are where geometry tells
     bool whole = false;
-    for (; k < all.size() && all[k].first == j; ++k) {
-      const HitWeight weight = HitWeight::of(all[k].second);
+    for (; k < all.size() && all[k].column == j; ++k) {
+      const HitWeight weight = HitWeight::of(all[k].weight);
       (weight.by_geometry ? told : counted) += weight.rays();
       if (weight.by_geometry) told_density += weight.of_other ? density_[j] : own;
       whole |= weight.whole;

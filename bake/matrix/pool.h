@@ -8,6 +8,7 @@
 // nodes that follow each other, of which one at a time is in memory.
 #pragma once
 #include <cstdint>
+#include <memory>
 #include <mutex>
 #include <span>
 #include <utility>
@@ -42,9 +43,6 @@ class PooledRows {
     uint32_t column;
     uint32_t weight;  // HitWeight's bits
   };
-  struct Run {  // of one block of hits_; columns ascending
-    uint32_t block, begin, end;
-  };
   // What a node knows from its own end.
   struct Ends {
     double sky_m2 = 0, absorbed_m2 = 0;
@@ -53,21 +51,20 @@ class PooledRows {
   };
   std::span<const double> density_;
   uint32_t first_ = 0;
-  std::vector<std::vector<Hits>> hits_;
-  std::vector<uint64_t> run_start_;  // of node first_ + i in runs_
-  std::vector<Run> runs_;
+  std::unique_ptr<Hits[]> hits_;
+  std::vector<uint64_t> start_;  // of node first_ + i in hits_, then how many there are
   std::vector<Ends> ends_;
 };
 
 class HitPool {
  public:
-  // Of a bucket that is taken, about: a hit, which counts at either end; a run of those of one block at a node; a node, without its lamps.
-  static constexpr uint64_t kBytesAHit = 8, kBytesARun = 28, kBytesANode = 112;
+  // Of a bucket that is taken, about: a hit, which counts at either end; a node, without its lamps.
+  static constexpr uint64_t kBytesAHit = 8, kBytesANode = 112;
 
   // number: the node of each patch. area_m2: of each patch, whole. density: rays by area of each node, 1/m2. bucket_start: first nodes of the buckets,
   // then the number of nodes. All outlive it and the rows that it hands out.
   HitPool(std::span<const uint32_t> number, std::span<const float> area_m2, std::span<const double> density, std::vector<uint32_t> bucket_start, Spill& spill)
-      : number_(number), area_m2_(area_m2), density_(density), bucket_start_(std::move(bucket_start)), bucket_(bucket_start_.size() - 1), spill_(spill) {}
+      : number_(number), area_m2_(area_m2), density_(density), bucket_start_(std::move(bucket_start)), bucket_(bucket_start_.size() - 1), wanted_(number.size()), spill_(spill) {}
   // Rows of patches [first, first + rows.patches()), each once, in any order. Thread-safe.
   void add(uint32_t first_patch, const HitRows& rows);
   size_t buckets() const { return bucket_start_.size() - 1; }
@@ -84,6 +81,7 @@ class HitPool {
   const std::span<const double> density_;
   const std::vector<uint32_t> bucket_start_;
   std::vector<Bucket> bucket_;
+  PagedVector<uint32_t> wanted_;  // hits at each node, of both ends
   Spill& spill_;
 };
 
