@@ -1,5 +1,6 @@
 #include "bake/bake.h"
 
+#include <tbb/enumerable_thread_specific.h>
 #include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
 #include <xxhash.h>
@@ -379,6 +380,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   {
     ProgressReport report(progress, "strips", tiles_total, settings.stop);
     constexpr uint32_t kBatch = 32;
+    tbb::enumerable_thread_specific<std::vector<NodeRow>> scratch;  // of a tile
     for (uint32_t l = hierarchy.levels(); l-- > 0;) {
       LevelStats& level = stats.levels[l];
       level.nodes = hierarchy.nodes[l];
@@ -388,7 +390,8 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
         std::vector<std::unique_ptr<Result<formats::EncodedStrip>>> encoded(count);
         std::vector<Sampling> sampling(count);
         tbb::parallel_for(0u, count, [&](uint32_t k) {
-          const std::vector<NodeRow> rows = levels[l].get(first + k);
+          std::vector<NodeRow>& rows = scratch.local();
+          levels[l].get(first + k, rows);
           const formats::Strip strip = makeStrip({l, first + k}, hierarchy, rows, light[l], lamp_groups, settings, sampling[k]);
           Box bounds;
           for (const NodeRow& row : rows) bounds.add(row.bounds);

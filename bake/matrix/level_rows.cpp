@@ -1,5 +1,7 @@
 #include "bake/matrix/level_rows.h"
 
+#include <utility>
+
 #include "bake/packing.h"
 
 namespace ff::bake {
@@ -28,40 +30,43 @@ void fields(Bytes& b, NodeRowT& n) {
 
 void LevelRows::put(uint32_t tile, std::span<const NodeRow> rows) {
   ByteWriter out;
+  std::vector<float> areas_m2;
   putVarint(out, rows.size());
   for (const NodeRow& of_node : rows) {
-    const ExchangeRow& row = of_node.row;
-    putLamps(out, row.lamps);
+    putLamps(out, of_node.row.lamps);
     fields(out, of_node);
-    putVarint(out, row.column.size());
-    uint32_t last = 0;
-    for (size_t k = 0; k < row.column.size(); last = row.column[k++]) {
-      putVarint(out, row.column[k] - last);
-      out.f32(static_cast<float>(row.area_m2[k]));
+    putVarint(out, of_node.row.column.size());
+    for (const double area : of_node.row.area_m2) areas_m2.push_back(static_cast<float>(area));
+  }
+  {
+    VarintAppender columns(out);
+    for (const NodeRow& of_node : rows) {
+      uint32_t last = 0;
+      for (const uint32_t column : of_node.row.column) columns.put(column - std::exchange(last, column));
     }
   }
+  putValues(out, areas_m2);
   tile_[tile] = spill_.put(out.data());
 }
 
-std::vector<NodeRow> LevelRows::get(uint32_t tile) const {
+void LevelRows::get(uint32_t tile, std::vector<NodeRow>& rows) const {
   const std::vector<std::byte> raw = spill_.get(tile_[tile]);
   ByteReader in(raw);
-  std::vector<NodeRow> rows(takeVarint(in));
+  rows.resize(takeVarint(in));
   for (NodeRow& of_node : rows) {
-    ExchangeRow& row = of_node.row;
-    row.lamps = takeLamps(in);
+    of_node.row.lamps = takeLamps(in);
     fields(in, of_node);
-    row.column.resize(takeVarint(in));
-    row.area_m2.resize(row.column.size());
-    uint32_t column = 0;
-    for (size_t k = 0; k < row.column.size(); ++k) {
-      row.column[k] = column += static_cast<uint32_t>(takeVarint(in));
-      float area = 0;
-      in.f32(area);
-      row.area_m2[k] = static_cast<double>(area);
-    }
+    of_node.row.column.resize(takeVarint(in));
   }
-  return rows;
+  for (NodeRow& of_node : rows) {
+    uint32_t last = 0;
+    for (uint32_t& column : of_node.row.column) column = last += static_cast<uint32_t>(takeVarint(in));
+  }
+  std::vector<float> areas_m2;
+  for (NodeRow& of_node : rows) {
+    takeValues(in, raw, of_node.row.column.size(), areas_m2);
+    of_node.row.area_m2.assign(areas_m2.begin(), areas_m2.end());
+  }
 }
 
 }  // namespace ff::bake

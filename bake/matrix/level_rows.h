@@ -24,8 +24,8 @@ class LevelRows {
   LevelRows(size_t tiles, Spill& spill) : spill_(spill), tile_(tiles) {}
   // Rows of all nodes of a tile. Thread-safe for different tiles.
   void put(uint32_t tile, std::span<const NodeRow> rows);
-  // Thread-safe.
-  std::vector<NodeRow> get(uint32_t tile) const;
+  // Fills `rows`, reusing its memory. Thread-safe.
+  void get(uint32_t tile, std::vector<NodeRow>& rows) const;
 
  private:
   Spill& spill_;

@@ -1,5 +1,6 @@
 #include "bake/matrix/patch_rows.h"
 
+#include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -65,6 +66,7 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
                                      LevelRows& rows, WorkCount& done, uint64_t& spilled) {
   const std::vector<uint32_t>& tiles = h.tile_start[0];
   PagedVector<LightValues> light(source.patches.size());
+  tbb::enumerable_thread_specific<std::vector<NodeRow>> scratch;  // of a tile
   {
     Spill spill(path, spareMemory(memory_bytes) / 4);
     HitPool pool(h.number, source.whole_area, source.density, bucketsOf(h, source.patch_of, hits, spareMemory(memory_bytes) / 4), spill);
@@ -79,7 +81,8 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
       const auto first = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.first()) - tiles.begin());
       const auto end = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.end()) - tiles.begin());
       tbb::parallel_for(first, end, [&](uint32_t t) {
-        std::vector<NodeRow> of_tile(tiles[t + 1] - tiles[t]);
+        std::vector<NodeRow>& of_tile = scratch.local();
+        of_tile.resize(tiles[t + 1] - tiles[t]);
         for (uint32_t i = tiles[t]; i < tiles[t + 1]; ++i) {
           NodeRow& row = of_tile[i - tiles[t]];
           const uint32_t p = source.patch_of[i];
@@ -105,7 +108,8 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
   giveBackMemory();
   PagedVector<LightValues> bounced(source.patches.size());
   tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
-    const std::vector<NodeRow> of_tile = rows.get(t);
+    std::vector<NodeRow>& of_tile = scratch.local();
+    rows.get(t, of_tile);
     for (size_t i = 0; i < of_tile.size(); ++i) {
       const NodeRow& row = of_tile[i];
       bounced[tiles[t] + i] = reflectedLight(row.node.albedo, row.node.area_m2, row.direct, row.row, light);

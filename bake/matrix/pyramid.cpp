@@ -12,6 +12,8 @@
 #include <numeric>
 #include <tuple>
 
+#include "bake/sorting.h"
+
 namespace ff::bake {
 namespace {
 
@@ -244,9 +246,10 @@ void addLamps(const std::vector<LampIrradiance>& more, std::vector<LampIrradianc
 // A row in the making; of all nodes of the level, all zero between rows.
 struct RowSums {
   explicit RowSums(uint32_t nodes) : exchange(nodes), seen(nodes) {}
+  std::vector<NodeRow> children;  // of a tile
   PagedVector<double> exchange;
   PagedVector<uint8_t> seen;
-  std::vector<uint32_t> touched;
+  std::vector<uint32_t> touched, scratch;
 };
 
 // The node over `children`, in their order, of which there is at least one; parents: of the level below.
@@ -274,7 +277,9 @@ NodeRow gathered(std::span<const NodeRow* const> children, std::span<const uint3
       for (int a = 0; a < 3; ++a) sums[3 * f + a] += static_cast<double>(c.area_m2) * static_cast<double>(fields[f][a]);
     node.bounds.add(child->bounds);
   }
-  std::sort(s.touched.begin(), s.touched.end());
+  sortByKey(s.touched, s.scratch, std::identity());
+  node.row.column.reserve(s.touched.size());
+  node.row.area_m2.reserve(s.touched.size());
   for (const uint32_t j : s.touched) {
     node.row.column.push_back(j);
     node.row.area_m2.push_back(static_cast<double>(static_cast<float>(s.exchange[j])));  // as it is kept
@@ -307,11 +312,13 @@ PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const 
   PagedVector<LightValues> own_light(h.nodes[level]);
   tbb::enumerable_thread_specific<RowSums> scratch([&] { return RowSums(h.nodes[level]); });
   tbb::parallel_for(0u, static_cast<uint32_t>(tiles.size()) - 1, [&](uint32_t t) {
+    RowSums& sums = scratch.local();
     std::vector<NodeRow> rows(tiles[t + 1] - tiles[t]);
     const auto [first, last] = std::equal_range(tile_parents.begin(), tile_parents.end(), t);
     for (auto child_tile = static_cast<uint32_t>(first - tile_parents.begin()); child_tile < static_cast<uint32_t>(last - tile_parents.begin()); ++child_tile) {
       const uint32_t first_child = child_tiles[child_tile];
-      const std::vector<NodeRow> children = below.get(child_tile);
+      std::vector<NodeRow>& children = sums.children;
+      below.get(child_tile, children);
       std::vector<std::pair<uint32_t, uint32_t>> by_parent;  // parent, child; siblings lie in one tile
       for (uint32_t i = 0; i < children.size(); ++i) by_parent.emplace_back(parents[first_child + i], i);
       std::sort(by_parent.begin(), by_parent.end());
@@ -325,7 +332,7 @@ PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const 
           siblings.push_back(&children[by_parent[end].second]);
           area += siblings.back()->node.area_m2;
         }
-        NodeRow& row = rows[parent - tiles[t]] = gathered(siblings, parents, scratch.local());
+        NodeRow& row = rows[parent - tiles[t]] = gathered(siblings, parents, sums);
         if (level + 1 < h.levels()) row.node.parent = h.parents[level][parent];
         for (; k < end; ++k) {
           const NodeRow& child = children[by_parent[k].second];

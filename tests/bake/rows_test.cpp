@@ -446,8 +446,9 @@ TEST(Pyramid, ExchangeAreasOfClustersAreTheSumsOverTheirPatches) {
   const auto clusters_light = gatherClusters(level0, light, h, 1, level1, done);
   size_t entries = 0;
   double whole = 0;
+  std::vector<NodeRow> rows;
   for (uint32_t t = 0; t + 1 < h.tile_start[1].size(); ++t) {
-    const std::vector<NodeRow> rows = level1.get(t);
+    level1.get(t, rows);
     for (uint32_t n = h.tile_start[1][t]; n < h.tile_start[1][t + 1]; ++n) {
       const NodeRow& row = rows[n - h.tile_start[1][t]];
       EXPECT_NEAR(static_cast<double>(row.node.area_m2), area[n], 1e-6 * area[n]);
