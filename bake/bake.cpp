@@ -32,6 +32,7 @@
 #include "bake/progress_report.h"
 #include "bake/rays/ray_caster.h"
 #include "bake/rays/surface_sampling.h"
+#include "bake/sorting.h"
 #include "bake/spill.h"
 #include "bake/surface/patch_size.h"
 #include "bake/surface/patches.h"
@@ -118,7 +119,7 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, std::span<const
     uint8_t row, column;
     uint16_t count;
   };
-  std::vector<Entry> entries;
+  std::vector<Entry> entries, scratch;
   const uint32_t least = id.level == 0 ? s.quanta : std::max(1u, static_cast<uint32_t>(kClusterQuanta * s.quanta));
   const formats::TileName& name = h.names[id.level][id.tile];
   uint64_t seed = mix64(s.seed + id.level);  // of the name alone
@@ -152,13 +153,16 @@ formats::Strip makeStrip(formats::TileId id, const Hierarchy& h, std::span<const
     }
     node.albedo = ff::min(node.albedo, {most, most, most});
     strip.nodes.push_back(node);
-    for (size_t k = 0; k < sampled.column.size(); ++k) {
+    for (size_t k = 0, partner = 0; k < sampled.column.size(); ++k) {
       const uint32_t j = sampled.column[k];
-      const auto partner = static_cast<uint32_t>(std::upper_bound(tiles.begin(), tiles.end(), j) - tiles.begin() - 1);
-      entries.push_back({partner, static_cast<uint8_t>(i), static_cast<uint8_t>(j - tiles[partner]), sampled.count[k]});
+      if (j >= tiles[partner + 1]) partner = static_cast<size_t>(std::upper_bound(tiles.begin() + static_cast<ptrdiff_t>(partner), tiles.end(), j) - tiles.begin() - 1);
+      entries.push_back({static_cast<uint32_t>(partner), static_cast<uint8_t>(i), static_cast<uint8_t>(j - tiles[partner]), sampled.count[k]});
     }
   }
-  std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.partner < b.partner; });
+  sortByKey(entries, scratch, [](const Entry& e) { return e.partner; });
+  strip.rows.reserve(entries.size());
+  strip.columns.reserve(entries.size());
+  strip.counts.reserve(entries.size());
   for (const Entry& e : entries) {
     if (strip.blocks.empty() || strip.blocks.back().partner_tile != e.partner) strip.blocks.push_back({e.partner, 0});
     ++strip.blocks.back().entries;

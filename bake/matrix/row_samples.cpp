@@ -3,6 +3,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <bit>
 #include <limits>
 
 #include "bake/light/surface_points.h"
@@ -74,20 +75,26 @@ LightValues reflectedLight(Vec3 albedo, float area_m2, const LightValues& direct
 uint32_t rowFactor(const LightValues& direct, const ExchangeRow& row, uint32_t quanta, std::span<const LightValues> radiosity) {
   const double sum = row.total_m2();
   if (!(sum > 0)) return 1;
-  std::array<std::array<double, kLights>, kOffsets> light{};  // of the row's samples at each offset, added up
+  using Sums = std::array<double, std::bit_ceil(kLights)>;  // whole vectors of any processor
+  std::array<Sums, kOffsets> light{};  // of the row's samples at each offset, added up
   const double scale = kOffsets * quanta / sum;
   double at = 0;
   uint64_t taken = 0;
   for (size_t k = 0; k < row.column.size(); ++k) {
     at += row.area_m2[k] * scale;
     const auto reached = static_cast<uint64_t>(at);
-    const LightValues& from = radiosity[row.column[k]];
+    if (reached == taken) continue;
+    Sums from{};
+    for (size_t l = 0; l < kLights; ++l) from[l] = static_cast<double>(radiosity[row.column[k]][l]);
     const uint64_t rounds = (reached - taken) / kOffsets;
-    if (rounds > 0)
-      for (auto& sums : light)
-        for (size_t l = 0; l < kLights; ++l) sums[l] += static_cast<double>(rounds) * static_cast<double>(from[l]);
+    if (rounds > 0) {
+      Sums of_rounds;
+      for (size_t l = 0; l < from.size(); ++l) of_rounds[l] = static_cast<double>(rounds) * from[l];
+      for (Sums& sums : light)
+        for (size_t l = 0; l < from.size(); ++l) sums[l] += of_rounds[l];
+    }
     for (taken += rounds * kOffsets; taken < reached; ++taken)
-      for (size_t l = 0; l < kLights; ++l) light[taken % kOffsets][l] += static_cast<double>(from[l]);
+      for (size_t l = 0; l < from.size(); ++l) light[taken % kOffsets][l] += from[l];
   }
   uint32_t factor = 1;
   for (size_t l = 0; l < kLights; ++l) {
