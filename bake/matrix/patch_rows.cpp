@@ -2,6 +2,7 @@
 
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <atomic>
@@ -42,6 +43,9 @@ std::pair<uint32_t, HitRows> PutAside::take(size_t range) {
 
 namespace {
 
+// No bucket is larger, so that the next one finds its memory in use and in cache: of so many tiles that all threads end at about the same time.
+constexpr uint64_t kBucketBytesAThread = uint64_t{128} << 20;
+
 // First nodes of buckets of whole tiles, with as many as memory has room for.
 std::vector<uint32_t> bucketsOf(const Hierarchy& h, std::span<const uint32_t> patch_of, const PutAside& hits, uint64_t bytes) {
   const std::vector<uint32_t>& tiles = h.tile_start[0];
@@ -69,15 +73,17 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
   tbb::enumerable_thread_specific<std::vector<NodeRow>> scratch;  // of a tile
   {
     Spill spill(path, spareMemory(memory_bytes) / 4);
-    HitPool pool(h.number, source.whole_area, source.density, bucketsOf(h, source.patch_of, hits, spareMemory(memory_bytes) / 4), spill);
+    const uint64_t bucket_bytes = std::min(spareMemory(memory_bytes) / 4, kBucketBytesAThread * static_cast<uint64_t>(tbb::this_task_arena::max_concurrency()));
+    HitPool pool(h.number, source.whole_area, source.density, bucketsOf(h, source.patch_of, hits, bucket_bytes), spill);
     tbb::parallel_for(size_t{0}, hits.ranges(), [&](size_t r) {
       const auto [first, of_range] = hits.take(r);
       pool.add(first, of_range);
       done.add();
     });
     giveBackMemory();
+    PooledRows pooled;
     for (size_t b = 0; b < pool.buckets(); ++b) {
-      const PooledRows pooled = pool.take(b);
+      pool.take(b, pooled);
       const auto first = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.first()) - tiles.begin());
       const auto end = static_cast<uint32_t>(std::lower_bound(tiles.begin(), tiles.end(), pooled.end()) - tiles.begin());
       tbb::parallel_for(first, end, [&](uint32_t t) {

@@ -121,22 +121,24 @@ void HitPool::add(uint32_t first_patch, const HitRows& rows) {
     bucket_[b].blocks.push_back(std::move(block));
   }
 }
-PooledRows HitPool::take(size_t bucket) {
+void HitPool::take(size_t bucket, PooledRows& out) {
   const uint32_t first = bucket_start_[bucket], n = bucket_start_[bucket + 1] - first;
   std::vector<Spill::Block> blocks = std::move(bucket_[bucket].blocks);
-  PooledRows pooled;
-  pooled.density_ = density_;
-  pooled.first_ = first;
-  pooled.ends_.resize(n);
-  pooled.start_.assign(n + 1, 0);
-  for (uint32_t i = 0; i < n; ++i) pooled.start_[i + 1] = pooled.start_[i] + wanted_[first + i];
-  pooled.hits_ = std::make_unique_for_overwrite<PooledRows::Hits[]>(pooled.start_.back());
-  std::vector<uint64_t> next(pooled.start_.begin(), pooled.start_.end() - 1);  // where a node's further hits go
+  out.density_ = density_;
+  out.first_ = first;
+  out.ends_.resize(n);
+  out.start_.assign(n + 1, 0);
+  for (uint32_t i = 0; i < n; ++i) out.start_[i + 1] = out.start_[i] + wanted_[first + i];
+  if (out.room_ < out.start_.back()) {
+    out.hits_.reset();
+    out.hits_ = std::make_unique_for_overwrite<PooledRows::Hits[]>(out.room_ = out.start_.back());
+  }
+  std::vector<uint64_t> next(out.start_.begin(), out.start_.end() - 1);  // where a node's further hits go
   tbb::parallel_for(size_t{0}, blocks.size(), [&](size_t k) {
     const std::vector<std::byte> raw = spill_.get(std::exchange(blocks[k], {}));
     ByteReader in(raw);
     for (uint64_t left = takeVarint(in); left > 0; --left) {
-      PooledRows::Ends& ends = pooled.ends_[takeVarint(in)];  // of one block alone
+      PooledRows::Ends& ends = out.ends_[takeVarint(in)];  // of one block alone
       in.f64(ends.sky_m2);
       in.f64(ends.absorbed_m2);
       skyFields(in, ends.sky_means);
@@ -147,7 +149,7 @@ PooledRows HitPool::take(size_t bucket) {
       for (uint64_t runs = takeVarint(in); runs > 0; --runs) {
         node += static_cast<uint32_t>(takeVarint(in));
         const uint64_t hits = takeVarint(in);
-        PooledRows::Hits* at = &pooled.hits_[std::atomic_ref(next[node]).fetch_add(hits, std::memory_order_relaxed)];
+        PooledRows::Hits* at = &out.hits_[std::atomic_ref(next[node]).fetch_add(hits, std::memory_order_relaxed)];
         uint32_t column = 0;
         for (const PooledRows::Hits* last = at + hits; at < last; ++at) {
           column += static_cast<uint32_t>(takeVarint(in));
@@ -156,7 +158,6 @@ PooledRows HitPool::take(size_t bucket) {
       }
     }
   });
-  return pooled;
 }
 
 void PooledRows::row(uint32_t node, ExchangeRow& out) const {
@@ -193,7 +194,7 @@ PooledPatches::PooledPatches(const HitRows& rows, std::span<const float> areas_m
   Spill spill({}, ~uint64_t{0});
   HitPool pool(same, areas_m2, density_, {0, static_cast<uint32_t>(same.size())}, spill);
   pool.add(0, rows);
-  rows_ = pool.take(0);
+  pool.take(0, rows_);
 }
 
 }  // namespace ff::bake

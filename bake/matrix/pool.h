@@ -52,6 +52,7 @@ class PooledRows {
   std::span<const double> density_;
   uint32_t first_ = 0;
   std::unique_ptr<Hits[]> hits_;
+  uint64_t room_ = 0;            // for so many hits
   std::vector<uint64_t> start_;  // of node first_ + i in hits_, then how many there are
   std::vector<Ends> ends_;
 };
@@ -68,8 +69,9 @@ class HitPool {
   // Rows of patches [first, first + rows.patches()), each once, in any order. Thread-safe.
   void add(uint32_t first_patch, const HitRows& rows);
   size_t buckets() const { return bucket_start_.size() - 1; }
-  // Once all is added, and once for each bucket; on all of TBB's threads. Memory: the above.
-  PooledRows take(size_t bucket);
+  // Once all is added, and once for each bucket; on all of TBB's threads. Memory: the above. Fills `out`, reusing its memory, as what is new comes from the
+  // system page by page.
+  void take(size_t bucket, PooledRows& out);
 
  private:
   struct Bucket {

@@ -389,8 +389,9 @@ TEST(Pool, RowsDoNotDependOnBucketsNorOnTheOrderOfRanges) {
     if (first == 0) break;
   }
   ExchangeRow row, same;
+  PooledRows rows;
   for (size_t b = 0; b < pool.buckets(); ++b) {
-    const PooledRows rows = pool.take(b);
+    pool.take(b, rows);
     for (uint32_t i = rows.first(); i < rows.end(); ++i) {
       const auto p = static_cast<uint32_t>(std::find(number.begin(), number.end(), i) - number.begin());
       rows.row(i, row);
