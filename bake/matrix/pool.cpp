@@ -121,6 +121,7 @@ void HitPool::add(uint32_t first_patch, const HitRows& rows) {
     bucket_[b].blocks.push_back(std::move(block));
   }
 }
+
 void HitPool::take(size_t bucket, PooledRows& out) {
   const uint32_t first = bucket_start_[bucket], n = bucket_start_[bucket + 1] - first;
   std::vector<Spill::Block> blocks = std::move(bucket_[bucket].blocks);
