@@ -192,7 +192,7 @@ std::vector<std::vector<TileName>> nameTiles(const RandomWorld& w) {
       if (top) {
         name.chunk = {static_cast<int32_t>(t / 4) - 1, 0, 1};
       } else {
-        const uint32_t first = w.strips[level][t].first_node, node = first < w.parents[level].size() ? w.parents[level][first] : 0;
+        const uint32_t first = w.strips[level][t].first_node, node = level < w.parents.size() && first < w.parents[level].size() ? w.parents[level][first] : 0;
         size_t parent = 0;
         while (parent + 1 < w.strips[level + 1].size() && w.strips[level + 1][parent + 1].first_node <= node) ++parent;
         const TileName& above = names[level + 1][parent];
