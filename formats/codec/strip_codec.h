@@ -22,8 +22,8 @@ struct StripLayout {
   static constexpr uint32_t kChunkBytes = 16;
   // partner tile step u16, runs - 1 u8
   static constexpr uint32_t kBlockBytes = 3;
-  // row step - 1 u8, words - 1 u16, first column u8
-  static constexpr uint32_t kRunBytes = 4;
+  // row step - 1 u8, words - 1 u16
+  static constexpr uint32_t kRunBytes = 3;
   // group u16, weights 3 x u16
   static constexpr uint32_t kLampBytes = 8;
 
@@ -54,9 +54,9 @@ struct StripLayout {
   uint64_t rowSteps() const { return blockSteps() + uint64_t{kBlockBytes} * blocks; }
   uint64_t runWords() const { return rowSteps() + runs; }
   // A column byte for each word: those of the runs' first words before all others. Then a count for each word.
-  uint64_t firstColumns() const { return runWords() + uint64_t{2} * runs; }
+  uint64_t firstColumns() const { return rowSteps() + uint64_t{kRunBytes} * runs; }
   uint64_t columnSteps() const { return firstColumns() + runs; }
-  uint64_t counts() const { return rowSteps() + uint64_t{kRunBytes - 1} * runs + words; }
+  uint64_t counts() const { return firstColumns() + words; }
   uint64_t end() const { return counts() + words; }
 };
 

@@ -119,20 +119,23 @@ class Runs {
  public:
   Runs(const uint8_t* raw, const StripLayout& layout)
       : steps_(raw + layout.rowSteps()), words_low_(raw + layout.runWords()), words_high_(words_low_ + layout.runs), first_columns_(raw + layout.firstColumns()) {}
-  void beginBlock() { row_ = first_column_ = 0; }
+  void beginBlock() {
+    row_ = kBeforeFirst;
+    first_column_ = 0;
+  }
   void next() {
-    row_ += *steps_++;
+    row_ += *steps_++ + 1u;
     first_column_ = (first_column_ + *first_columns_++) & 0xff;
     words_ = (uint32_t{*words_low_++} | uint32_t{*words_high_++} << 8) + 1;
   }
-  void behind() { ++row_; }
   uint32_t row() const { return row_; }
   uint32_t firstColumn() const { return first_column_; }
   uint32_t words() const { return words_; }
 
  private:
+  static constexpr uint32_t kBeforeFirst = ~0u;  // and 1 is 0
   const uint8_t *steps_, *words_low_, *words_high_, *first_columns_;
-  uint32_t row_ = 0, first_column_ = 0, words_ = 0;
+  uint32_t row_ = kBeforeFirst, first_column_ = 0, words_ = 0;
 };
 
 // A strip's arrays in its raw payload, and where the next run is.
@@ -151,7 +154,7 @@ class EntryDecoder {
     Runs runs(at_, layout_);
     for (size_t b = 0; b < layout_.blocks; ++b) {
       runs.beginBlock();
-      for (uint32_t left = runsOf(b); left > 0; --left, runs.behind()) {
+      for (uint32_t left = runsOf(b); left > 0; --left) {
         runs.next();
         if (runs.row() >= layout_.nodes) return bad(b, "a row is outside the tile");
         words += runs.words();
@@ -186,7 +189,7 @@ class EntryDecoder {
       const uint8_t *steps = decoder.columnSteps(), *counts = decoder.counts();
       decoder.begin();
       runs.beginBlock();
-      for (uint32_t left = runsOf(b); left > 0; --left, runs.behind()) {
+      for (uint32_t left = runsOf(b); left > 0; --left) {
         runs.next();
         const uint32_t row = runs.row(), n = runs.words(), word = next_word_[row];
         decoder.decodeRun(runs.firstColumn(), n, words + word + kLanes * row);

@@ -124,7 +124,7 @@ TEST(FormatPage, NodeArraysLieWhereTheCodeExpectsThem) {
   EXPECT_NE(page().find("2^" + std::to_string(kChunkLog) + " cells"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkTiles) + " tiles"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxChunkRawBytes)), std::string::npos);
-  EXPECT_NE(page().find("| " + std::to_string(StripLayout::kRunBytes - 1) + " R |"), std::string::npos);
+  EXPECT_NE(page().find("| " + std::to_string(StripLayout::kRunBytes) + " R |"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxBlocks)), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxRowFactor) + " times the world's"), std::string::npos);
   EXPECT_NE(page().find("at most " + std::to_string(kMaxStripRawBytes)), std::string::npos);
