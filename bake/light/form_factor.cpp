@@ -14,7 +14,6 @@
 #include "bake/light/row_error.h"
 #include "bake/light/row_hits.h"
 #include "bake/light/unoccluded.h"
-#include "bake/rays/cosine_rays.h"
 #include "bake/surface/sealed.h"
 
 namespace ff::bake {
@@ -27,8 +26,6 @@ static_assert(kGroupLog <= kCastLog);
 constexpr uint32_t kLeastTried = 8, kTriedOf = 4;  // patches of a group whose errors tell how many rays it needs: so many, or one of so many
 constexpr double kHalfAgain = 1.22;      // by so much the error falls with 1.41 times as many rays
 constexpr double kLeastExpected = 1;     // rays towards a patch from which on geometry tells better than their number
-
-Ray cosineRay(const SurfacePoint& from) { return {from.position, cosineDirection(frameOf(from.normal), from.u, from.v)}; }
 
 }  // namespace
 
@@ -57,24 +54,25 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
                const RayCaster& caster, std::span<Ray> rays) {
   std::vector<SurfacePoint> points(rays.size());
   surfacePoints(scene, set, patch, sobol, seed, caster, points);
-  std::transform(points.begin(), points.end(), rays.begin(), cosineRay);
+  cosineRays(points, rays);
 }
 
 struct RowCaster::State {
   struct Scratch {
     Scratch(const State& s)
-        : met(s.budget.rays), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
+        : met(s.budget.rays), shapes(s.set), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
           lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), leaks(s.set.cell_m) {}
 
     // The first so many points' rays and hits.
     void castFrom(size_t n) {
-      std::transform(points.begin(), points.begin() + static_cast<ptrdiff_t>(n), rays.begin(), cosineRay);
+      cosineRays(std::span(points).first(n), std::span(rays).first(n));
       caster.nearest(std::span(rays).first(n), std::span(hits).first(n));
     }
 
     RowHits hit_patches;
     std::vector<uint32_t> met;       // by ray: the patch that it ends on, or kNone
-    PatchShape shape, other;
+    PatchShape shape;                // of the patch
+    PatchShapes shapes;
     RayFan fan;
     std::vector<SurfacePoint> points;
     std::vector<Ray> rays;           // from them
@@ -82,7 +80,6 @@ struct RowCaster::State {
     std::vector<SkyRays> sky;        // of the group
     RayCaster caster;                // leaves the trail of the group
     LampLight lamps;
-    SightMap sight;
     LeakSums leaks;                  // of the group
   };
 
@@ -122,11 +119,11 @@ double RowCaster::State::tell(uint32_t patch, uint32_t rays, uint32_t sky, Scrat
   for (RowHits::Entry& e : s.hit_patches.entries()) {
     e.stand_for = {static_cast<double>(e.hits[0]), static_cast<double>(e.hits[1])};
     if (e.patch == patch || farExchange(from, set.patches[e.patch]) * rays < kLeastExpected * static_cast<double>(from.area_m2)) continue;
-    s.other.assign(set, e.patch);
-    const std::optional<double> exchange = unoccludedExchange(s.shape, s.other);
+    const PatchShape& other = s.shapes.of(e.patch);
+    const std::optional<double> exchange = unoccludedExchange(s.shape, other);
     const double expected = exchange ? *exchange / s.shape.area_m2 * rays : 0;
     if (!(expected >= kLeastExpected)) continue;
-    const RayFan::Share share = s.fan.towards(e.patch, s.other, expected);
+    const RayFan::Share share = s.fan.towards(e.patch, other, expected);
     if (!(share.all() ? isLikely(e.count(), expected) : share.isLikely())) continue;
     const double seen = share.all() ? 1 : static_cast<double>(share.there[0] + share.there[1]) / (share.towards[0] + share.towards[1]);
     for (size_t half = 0; half < 2; ++half)
@@ -191,7 +188,7 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
     SkyRays& sky = s.sky[i];
     sky.look.clear();
     sky.main.clear();
-    s.sight.clear();
+    sky.sight.clear();
     std::array<uint32_t, kNarrowCells.size()> near{};
     s.castFrom(rays);
     for (size_t k = 0; k < rays; ++k) {
@@ -205,7 +202,7 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
         continue;
       }
       const float distance = length(hit.point - ray.origin), cells = distance / set.cell_m;
-      s.sight.add(ray.direction, distance);
+      sky.sight.add(ray.direction, distance);
       for (size_t d = 0; d < near.size(); ++d) near[d] += cells < kNarrowCells[d];
       const uint32_t j = set.patchAt(hit.triangle, hit.front, hit.point);
       if (j == kSealed) {
@@ -221,8 +218,6 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
       s.hit_patches.add(s.met[k] = j, k);
       if (lamps.leafOf(j) != kNone) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
     }
-    for (auto* reached : {&sky.look, &sky.main})
-      for (SkyRays::Ray& ray : *reached) ray.opening_m = s.sight.around(ray.direction);
     for (const uint32_t hits : near) if (hits > kMaxRays * rays) ++rows.narrow[i];
     if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
     rows.square_error[i] = static_cast<float>(tell(patch, rays, rows.sky[i], s));

@@ -75,7 +75,7 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
     node.normals = coneOf({set_.triangles.data() + p.first_triangle, p.triangles});
     for (const PatchTriangle& t : std::span(set_.triangles).subspan(p.first_triangle, p.triangles)) {
       node.area_m2 += areaOf(t);
-      triangles_.push_back({t.a, t.b, t.c, node.area_m2, t.source, caster_.surfaceOffset(t.source), scene_.materials[scene_.triangles[t.source].material].cutout});
+      triangles_.push_back({t.a, t.b, t.c, normalized(cross(t.b - t.a, t.c - t.a)), node.area_m2, t.source, caster_.surfaceOffset(t.source), scene_.materials[scene_.triangles[t.source].material].cutout});
     }
     node.area_m2 = std::max(node.area_m2, 1e-30f);
     node.power = node.area_m2 * luminanceOf(p.emission);
@@ -144,7 +144,7 @@ LampTree::Point LampTree::point(uint32_t node, float u, float v, float w) const 
   const auto first = triangles_.begin() + nodes_[at].first, last = first + nodes_[at].triangles;
   const float m2 = std::min(u, 0x1.fffffep-1f) * nodes_[at].area_m2;
   const LampTriangle& t = *std::min(std::upper_bound(first, last, m2, [](float x, const LampTriangle& of) { return x < of.cumulative_m2; }), last - 1);
-  return {pointInTriangle(t.a, t.b, t.c, v, w), normalized(cross(t.b - t.a, t.c - t.a)), at, t.source, t.offset_m, t.cutout};
+  return {pointInTriangle(t.a, t.b, t.c, v, w), t.normal, at, t.source, t.offset_m, t.cutout};
 }
 
 }  // namespace ff::bake

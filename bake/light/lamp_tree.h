@@ -74,7 +74,7 @@ class LampTree {
     bool isLeaf() const { return first != kNone; }
   };
   struct LampTriangle {
-    Vec3 a, b, c;
+    Vec3 a, b, c, normal;
     float cumulative_m2;  // within the patch, up to and including this one
     uint32_t source;      // triangle of the scene
     float offset_m;

@@ -4,11 +4,60 @@
 #include <cmath>
 
 #include "bake/light/row_hits.h"
+#include "bake/wide.h"
 
 namespace ff::bake {
 namespace {
 
 constexpr double kTelling = 32;  // rays of a half towards a patch that tell whether anything is in the way
+constexpr size_t kTriedAtOnce = 64;   // rays that are tried by one loop after the other
+
+// Of rays whether they come through a sphere, and are among the first `few` of their half. The sphere's centre is seen from where origins are; most: its
+// radius squared.
+struct ComeNear {
+  [[gnu::always_inline]] static void run(const float* const* origin, const float* const* direction, size_t first, const uint32_t* place, Vec3 centre, float most,
+                                         uint32_t few, size_t rays, uint32_t* near) {
+    const float *ox = origin[0] + first, *oy = origin[1] + first, *oz = origin[2] + first;
+    const float *dx = direction[0] + first, *dy = direction[1] + first, *dz = direction[2] + first;
+    for (size_t k = 0; k < rays; ++k) {
+      const float x = centre.x - ox[k], y = centre.y - oy[k], z = centre.z - oz[k], along = x * dx[k] + y * dy[k] + z * dz[k];
+      near[k] = static_cast<uint32_t>(x * x + y * y + z * z - along * along <= most) & static_cast<uint32_t>(place[k] < few);
+    }
+  }
+};
+
+// Adds 1 to times[k] where ray k comes through a facet from the front; at most kTriedAtOnce rays.
+struct ComeThrough {
+  [[gnu::always_inline]] static void run(const PatchShape::Facet* facet, const double* const* origin, const double* const* direction, size_t first, size_t rays,
+                                         double* times) {
+    const double *ox = origin[0] + first, *oy = origin[1] + first, *oz = origin[2] + first;
+    const double *dx = direction[0] + first, *dy = direction[1] + first, *dz = direction[2] + first;
+    const Point n = facet->normal, corner = facet->corner[0];
+    alignas(64) double x[kTriedAtOnce], y[kTriedAtOnce], z[kTriedAtOnce], through[kTriedAtOnce];  // where rays meet the plane; 0 or 1
+    for (size_t k = 0; k < rays; ++k) {
+      const double towards = -(dx[k] * n.x + dy[k] * n.y + dz[k] * n.z);
+      const double height = (ox[k] - corner.x) * n.x + (oy[k] - corner.y) * n.y + (oz[k] - corner.z) * n.z, distance = height / towards;
+      x[k] = ox[k] + dx[k] * distance;
+      y[k] = oy[k] + dy[k] * distance;
+      z[k] = oz[k] + dz[k] * distance;
+      through[k] = towards > 0 ? (distance > 0 ? 1.0 : 0.0) : 0.0;
+    }
+    for (size_t i = 0; i < facet->corners; ++i) {
+      const Point from = facet->corner[i], side = facet->corner[i + 1 < facet->corners ? i + 1 : 0] - from;
+      for (size_t k = 0; k < rays; ++k) {
+        const double ax = x[k] - from.x, ay = y[k] - from.y, az = z[k] - from.z;
+        const double inward = (side.y * az - side.z * ay) * n.x + (side.z * ax - side.x * az) * n.y + (side.x * ay - side.y * ax) * n.z;
+        through[k] = inward < 0 ? 0.0 : through[k];
+      }
+    }
+    for (size_t k = 0; k < rays; ++k) times[k] += through[k];
+  }
+};
+
+template <class T>
+std::array<const T*, 3> axes(const std::array<std::vector<T>, 3>& of) {
+  return {of[0].data(), of[1].data(), of[2].data()};
+}
 
 }  // namespace
 
@@ -51,7 +100,7 @@ void RayFan::assign(const PatchShape& from, Vec3 normal, std::span<const Ray> ra
   }
 }
 
-RayFan::Share RayFan::towards(uint32_t patch, const PatchShape& shape, double expected) const {
+RayFan::Share RayFan::towards(uint32_t patch, const PatchShape& shape, double expected) {
   const Point way = shape.centre - centre_;
   const double apart = length(way), sine = (radius_m_ + shape.radius_m) / apart;
   Bins bins{0, kSide - 1, 0, kSide - 1};
@@ -72,45 +121,62 @@ RayFan::Share RayFan::towards(uint32_t patch, const PatchShape& shape, double ex
   return share;
 }
 
-RayFan::Share RayFan::count(uint32_t patch, const PatchShape& shape, const Bins& bins, size_t of_half) const {
+RayFan::Share RayFan::count(uint32_t patch, const PatchShape& shape, const Bins& bins, size_t of_half) {
+  findNear(shape, bins, of_half);
   Share share;
-  for (int y = bins.y0; y <= bins.y1; ++y)
-    countRun(patch, shape, start_[static_cast<size_t>(y * kSide + bins.x0)], start_[static_cast<size_t>(y * kSide + bins.x1) + 1], of_half, share);
+  const bool once = !shape.overlaps();
+  tried_.clear();
+  for (const uint32_t k : near_) {
+    const bool there = met_[k] == patch;
+    share.there[second_[k]] += there;
+    if (there && once) ++share.towards[second_[k]];
+    else tried_.push_back(k);
+  }
+  tryFacets(shape);
+  for (size_t t = 0; t < tried_.size(); ++t) {
+    const uint32_t k = tried_[t];
+    share.towards[second_[k]] += std::max(static_cast<uint32_t>(met_[k] == patch), static_cast<uint32_t>(times_[t]));
+  }
   return share;
 }
 
-void RayFan::countRun(uint32_t patch, const PatchShape& shape, size_t first, size_t end, size_t of_half, Share& share) const {
-  constexpr size_t kAtOnce = 64;
+void RayFan::findNear(const PatchShape& shape, const Bins& bins, size_t of_half) {
   const Point offset = shape.centre - centre_;
-  const Vec3 centre = vec3Of(offset);
   const auto most = static_cast<float>(shape.radius_m * shape.radius_m * 1.001 + 1e-5 * dot(offset, offset));
-  const auto few = static_cast<uint32_t>(of_half);
-  const bool once = !shape.overlaps();
-  for (; first < end; first += kAtOnce) {
-    const size_t n = std::min(kAtOnce, end - first);
-    std::array<uint32_t, kAtOnce> near;  // whether a ray comes through the sphere around the shape
-    const float *ox = origin_[0].data() + first, *oy = origin_[1].data() + first, *oz = origin_[2].data() + first;
-    const float *dx = direction_[0].data() + first, *dy = direction_[1].data() + first, *dz = direction_[2].data() + first;
-    const uint32_t* place = place_.data() + first;
-    for (size_t k = 0; k < n; ++k) {
-      const float x = centre.x - ox[k], y = centre.y - oy[k], z = centre.z - oz[k], along = x * dx[k] + y * dy[k] + z * dz[k];
-      near[k] = static_cast<uint32_t>(x * x + y * y + z * z - along * along <= most) & static_cast<uint32_t>(place[k] < few);
-    }
-    for (size_t k = 0; k < n; ++k) {
-      if (!near[k]) continue;
-      const bool there = met_[first + k] == patch;
-      uint32_t times = there;
-      if (!there || !once) {
-        const auto point = [&](const float* px, const float* py, const float* pz) { return pointOf({px[k], py[k], pz[k]}); };
-        const Point origin = point(ox, oy, oz) + centre_, direction = point(dx, dy, dz);
-        uint32_t met = 0;
-        for (const PatchShape::Facet& f : shape.facets) met += f.meets(origin, direction);
-        times = std::max(times, met);
+  const auto origin = axes(origin_), direction = axes(direction_);
+  size_t found = 0;
+  near_.resize(met_.size() + 1);  // one more to write to
+  for (int y = bins.y0; y <= bins.y1; ++y) {
+    size_t first = start_[static_cast<size_t>(y * kSide + bins.x0)];
+    const size_t end = start_[static_cast<size_t>(y * kSide + bins.x1) + 1];
+    for (; first < end; first += kTriedAtOnce) {
+      const size_t n = std::min(kTriedAtOnce, end - first);
+      alignas(64) std::array<uint32_t, kTriedAtOnce> near;
+      onWidest<ComeNear>(origin.data(), direction.data(), first, place_.data() + first, vec3Of(offset), most, static_cast<uint32_t>(of_half), n, near.data());
+      for (size_t k = 0; k < n; ++k) {
+        near_[found] = static_cast<uint32_t>(first + k);
+        found += near[k];
       }
-      share.there[second_[first + k]] += there;
-      share.towards[second_[first + k]] += times;
     }
   }
+  near_.resize(found);
+}
+
+void RayFan::tryFacets(const PatchShape& shape) {
+  times_.assign(tried_.size(), 0);
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto a = static_cast<size_t>(axis);
+    tried_origin_[a].resize(tried_.size());
+    tried_direction_[a].resize(tried_.size());
+    for (size_t t = 0; t < tried_.size(); ++t) {
+      tried_origin_[a][t] = static_cast<double>(origin_[a][tried_[t]]) + centre_[axis];
+      tried_direction_[a][t] = static_cast<double>(direction_[a][tried_[t]]);
+    }
+  }
+  const auto origin = axes(tried_origin_), direction = axes(tried_direction_);
+  for (const PatchShape::Facet& f : shape.facets)
+    for (size_t first = 0; first < tried_.size(); first += kTriedAtOnce)
+      onWidest<ComeThrough>(&f, origin.data(), direction.data(), first, std::min(kTriedAtOnce, tried_.size() - first), times_.data() + first);
 }
 
 }  // namespace ff::bake

@@ -30,7 +30,7 @@ class RayFan {
   };
   // Of rays towards a patch, as often as they would meet its facets, those that meet it. expected: how many there should be; of many some are looked at, and
   // all where these find something in the way.
-  Share towards(uint32_t patch, const PatchShape& shape, double expected) const;
+  Share towards(uint32_t patch, const PatchShape& shape, double expected);
 
  private:
   static constexpr int kSide = 16;  // bins of a hemisphere, seen from above
@@ -38,8 +38,12 @@ class RayFan {
   struct Bins {
     int x0, x1, y0, y1;
   };
-  Share count(uint32_t patch, const PatchShape& shape, const Bins& bins, size_t of_half) const;
-  void countRun(uint32_t patch, const PatchShape& shape, size_t first, size_t end, size_t of_half, Share& share) const;
+  // Of the first so many of each half.
+  Share count(uint32_t patch, const PatchShape& shape, const Bins& bins, size_t of_half);
+  // Sets near_ to the rays in those bins that come through the sphere around a shape.
+  void findNear(const PatchShape& shape, const Bins& bins, size_t of_half);
+  // Sets times_ to how many facets of a shape each of tried_ comes through.
+  void tryFacets(const PatchShape& shape);
 
   Frame frame_;
   Point centre_;
@@ -52,6 +56,10 @@ class RayFan {
   std::vector<uint8_t> second_;  // half
   std::vector<uint32_t> met_;
   std::vector<uint16_t> bin_;    // of rays in their own order
+  // Of the patch that is looked at: rays by their place in those by bin.
+  std::vector<uint32_t> near_, tried_;
+  std::array<std::vector<double>, 3> tried_origin_, tried_direction_;  // by axis, m
+  std::vector<double> times_;
 };
 
 }  // namespace ff::bake

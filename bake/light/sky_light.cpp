@@ -38,7 +38,7 @@ uint32_t binOf(float x, uint32_t bins = SkyGuide::kBins) {
   return static_cast<uint32_t>(std::clamp((x + 1) * 0.5f * n, 0.0f, n - 1));
 }
 
-// Middle or any other point of a bin.
+// Any point of a bin.
 float placeIn(uint32_t bin, float at) { return 2 * (static_cast<float>(bin) + at) / static_cast<float>(SkyGuide::kBins) - 1; }
 
 }  // namespace
@@ -99,17 +99,25 @@ void SkyGuide::add(Vec3 direction, float radius) {
   const auto at = folded(direction);
   const auto x = static_cast<int>(binOf(at[0])), y = static_cast<int>(binOf(at[1])), n = static_cast<int>(kBins);
   const int reach = std::clamp(static_cast<int>(std::ceil(radius / kBinRadians)), 1, kMaxBeside);
-  for (int dy = -reach; dy <= reach; ++dy)
-    for (int dx = -reach; dx <= reach; ++dx)
-      if (x + dx >= 0 && x + dx < n && y + dy >= 0 && y + dy < n)
-        weight_[static_cast<size_t>((y + dy) * n + x + dx)] += (dx == 0 && dy == 0 ? 1 : kBeside) / static_cast<float>(reach * reach);
+  const auto bins = static_cast<float>(reach * reach);
+  const int x0 = std::max(0, x - reach), x1 = std::min(n - 1, x + reach), y0 = std::max(0, y - reach), y1 = std::min(n - 1, y + reach);
+  const size_t middle = static_cast<size_t>(y * n + x);
+  const float before = weight_[middle];
+  for (int j = y0; j <= y1; ++j)
+    for (int i = x0; i <= x1; ++i) weight_[static_cast<size_t>(j * n + i)] += kBeside / bins;
+  weight_[middle] = before + 1 / bins;
 }
 
 void SkyGuide::close(Vec3 up) {
+  static const std::vector<Vec3> middle = [] {
+    std::vector<Vec3> of;
+    for (uint32_t b = 0; b < kBins * kBins; ++b) of.push_back(unfolded(placeIn(b % kBins, 0.5f), placeIn(b / kBins, 0.5f)));
+    return of;
+  }();
   double sum = 0;
   for (uint32_t b = 0; b < kBins * kBins; ++b) {
     if (!(weight_[b] > 0)) continue;
-    if (dot(unfolded(placeIn(b % kBins, 0.5f), placeIn(b / kBins, 0.5f)), up) < kHorizon) {
+    if (dot(middle[b], up) < kHorizon) {
       weight_[b] = 0;
       continue;
     }
@@ -135,7 +143,7 @@ double SkyGuide::density(Vec3 d) const {
 }
 
 std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCaster& caster, const SobolTable& sobol, uint64_t seed,
-                           uint32_t first, std::span<const SkyRays> found, uint32_t rays) {
+                           uint32_t first, std::span<SkyRays> found, uint32_t rays) {
   std::vector<SkySums> sky(found.size());
   SkyGuide guide;
   std::vector<SurfacePoint> points;
@@ -143,9 +151,14 @@ std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCas
   std::vector<SightLine> ways;    // that are guided
   std::vector<float> cosines;  // of them, at the surface
   const uint32_t looking = lookingRays(rays), main = rays - looking, guided = rays / kGuidedShare;
+  const auto isEnough = [&](const SkyRays& of) { return guided == 0 || static_cast<double>(of.look.size()) > kEnough * looking; };
+  if (!std::all_of(found.begin(), found.end(), isEnough))
+    for (SkyRays& of : found)
+      for (auto* reached : {&of.look, &of.main})
+        for (SkyRays::Ray& ray : *reached) ray.opening_m = of.sight.around(ray.direction);
   for (uint32_t i = 0; i < found.size(); ++i) {
     const Patch& patch = set.patches[first + i];
-    const bool enough = guided == 0 || static_cast<double>(found[i].look.size()) > kEnough * looking;
+    const bool enough = isEnough(found[i]);
     const float radius = 0.5f * length(patch.bounds.hi - patch.bounds.lo);
     guide.clear();
     if (!enough) {

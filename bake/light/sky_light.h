@@ -48,9 +48,10 @@ struct SkyRays {
   struct Ray {
     Vec3 origin, direction;
     float cosine;            // between it and the normal where it starts
-    float opening_m = 0;     // how far away it leaves the room: SightMap::around()
+    float opening_m = 0;     // how far away it leaves the room: SightMap::around(); where somebody is guided by it
   };
   std::vector<Ray> look, main;  // of the first quarter of the row; of the rest
+  SightMap sight;               // of the rays that end elsewhere
 };
 inline uint32_t lookingRays(uint32_t rays) { return rays / 4; }
 
@@ -78,6 +79,6 @@ class SkyGuide {
 // The sky of all patches of a neighbourhood: number `first` and on, a row's rays each. Returns sums of which weight() is the
 // fraction of the patch's cosine-weighted hemisphere.
 std::vector<SkySums> skyOf(const Scene& scene, const PatchSet& set, const RayCaster& caster, const SobolTable& sobol, uint64_t seed,
-                           uint32_t first, std::span<const SkyRays> found, uint32_t rays);
+                           uint32_t first, std::span<SkyRays> found, uint32_t rays);
 
 }  // namespace ff::bake

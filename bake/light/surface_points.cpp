@@ -1,13 +1,34 @@
 #include "bake/light/surface_points.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstring>
 #include <vector>
 
 #include "bake/rays/cosine_rays.h"
 #include "bake/rays/surface_sampling.h"
+#include "bake/wide.h"
 
 namespace ff::bake {
+namespace {
+
+constexpr size_t kPointsAtOnce = 256;  // points
+
+// What cosineDirection() takes of the axes of a frame.
+struct AlongAxes {
+  [[gnu::always_inline]] static void run(const float* u, const float* v, float* tangent, float* bitangent, float* normal, size_t points) {
+    for (size_t i = 0; i < points; ++i) {
+      const float r = std::sqrt(u[i]);
+      const auto [sine, cosine] = sineCosineOfTurn(static_cast<double>(v[i]));
+      tangent[i] = r * static_cast<float>(cosine);
+      bitangent[i] = r * static_cast<float>(sine);
+      normal[i] = std::sqrt(1 - u[i]);
+    }
+  }
+};
+
+}  // namespace
 
 void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                    const RayCaster& caster, std::span<SurfacePoint> points) {
@@ -28,9 +49,12 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
     facets.push_back({normalized(cross(t.b - t.a, t.c - t.a)), caster.surfaceOffset(t.source), before_m2, t.cumulative_area, cutout});
     before_m2 = t.cumulative_area;
   }
+  std::array<std::array<float, kPointsAtOnce>, 4> u;  // by dimension: the first two are stratified best together, and whereto matters more than where from
   for (uint32_t i = 0; i < points.size(); ++i) {
-    const auto u = sobol.point(i, seeds);  // the first two are stratified best together: whereto matters more than where from
-    float pick = u[2], v = u[3];
+    const size_t k = i % kPointsAtOnce;
+    if (k == 0)
+      for (uint32_t d = 0; d < 4; ++d) sobol.points(i, d, seeds, std::span(u[d]).first(std::min(kPointsAtOnce, points.size() - i)));
+    float pick = u[2][k], v = u[3][k];
     const Facet* facet = nullptr;
     Vec3 position;
     for (int attempt = 0; attempt < 16; ++attempt) {  // again where a cutout has a hole
@@ -45,7 +69,21 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
       pick = std::fmod(pick + 0.6180339887f, 1.0f);
       v = std::fmod(v + 0.7548776662f, 1.0f);
     }
-    points[i] = {position + facet->normal * facet->offset_m, facet->normal, u[0], u[1]};
+    points[i] = {position + facet->normal * facet->offset_m, facet->normal, u[0][k], u[1][k]};
+  }
+}
+
+void cosineRays(std::span<const SurfacePoint> points, std::span<Ray> rays) {
+  std::array<float, kPointsAtOnce> u, v, tangent, bitangent, normal;
+  Frame frame = frameOf({});
+  for (size_t first = 0; first < points.size(); first += kPointsAtOnce) {
+    const auto some = points.subspan(first, std::min(kPointsAtOnce, points.size() - first));
+    for (size_t k = 0; k < some.size(); ++k) u[k] = some[k].u, v[k] = some[k].v;
+    onWidest<AlongAxes>(u.data(), v.data(), tangent.data(), bitangent.data(), normal.data(), some.size());
+    for (size_t k = 0; k < some.size(); ++k) {
+      if (std::memcmp(&some[k].normal, &frame.normal, sizeof(Vec3)) != 0) frame = frameOf(some[k].normal);  // bits: 0 and -0 have frames of their own
+      rays[first + k] = {some[k].position, frame.tangent * tangent[k] + frame.bitangent * bitangent[k] + frame.normal * normal[k]};
+    }
   }
 }
 

@@ -22,4 +22,7 @@ inline double powerWeight(double own, double other) { return own * own / (own * 
 void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
                    const RayCaster& caster, std::span<SurfacePoint> points);
 
+// A cosine-distributed ray from each, as its u and v have it.
+void cosineRays(std::span<const SurfacePoint> points, std::span<Ray> rays);
+
 }  // namespace ff::bake

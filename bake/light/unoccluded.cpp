@@ -90,17 +90,14 @@ bool isHard(const Facet& f, const Facet& g, double thin_m) {
   return dot(f.normal, g.normal) < -0.7 && g_most < thin_m;
 }
 
-double betweenPoints(const PatchShape& a, const PatchShape& b, std::span<const QuadraturePoint> points) {
+double betweenPoints(const PatchShape& a, std::span<const PatchShape::Sample> from_a, const PatchShape& b, std::span<const PatchShape::Sample> from_b) {
   double sum = 0;
-  for (const Facet& f : a.facets)
-    eachPoint(f, points, [&](const Point& from, double from_m2) {
-      for (const Facet& g : b.facets)
-        eachPoint(g, points, [&](const Point& to, double to_m2) {
-          const Point r = to - from;
-          const double cosines = std::max(0.0, dot(r, f.normal)) * std::max(0.0, -dot(r, g.normal)), square = dot(r, r);
-          if (cosines > 0) sum += cosines / (square * square) * from_m2 * to_m2;
-        });
-    });
+  for (const PatchShape::Sample& from : from_a)
+    for (const PatchShape::Sample& to : from_b) {
+      const Point r = to.at - from.at;
+      const double cosines = std::max(0.0, dot(r, a.facets[from.facet].normal)) * std::max(0.0, -dot(r, b.facets[to.facet].normal)), square = dot(r, r);
+      if (cosines > 0) sum += cosines / (square * square) * from.area_m2 * to.area_m2;
+    }
   return sum / std::numbers::pi;
 }
 
@@ -133,17 +130,6 @@ bool join(Facet& facet, const Facet& triangle) {
 
 }  // namespace
 
-bool PatchShape::Facet::meets(const Point& origin, const Point& direction) const {
-  const double towards = -dot(direction, normal);
-  if (!(towards > 0)) return false;
-  const double distance = dot(origin - corner[0], normal) / towards;
-  if (!(distance > 0)) return false;
-  const Point at = origin + direction * distance;
-  for (size_t i = 0; i < corners; ++i)
-    if (dot(cross(corner[i + 1 < corners ? i + 1 : 0] - corner[i], at - corner[i]), normal) < 0) return false;
-  return true;
-}
-
 void PatchShape::assign(const PatchSet& set, uint32_t patch) {
   const Patch& p = set.patches[patch];
   facets.clear();
@@ -162,13 +148,19 @@ void PatchShape::assign(const PatchSet& set, uint32_t patch) {
     for (const Point& corner : f.outline()) radius_m = std::max(radius_m, length(corner - centre));
     if (facets.empty() || !join(facets.back(), f)) facets.push_back(f);
   }
+  middles.clear();
+  thirds.clear();
+  for (uint32_t f = 0; f < facets.size(); ++f) {
+    eachPoint(facets[f], kOnePoint, [&](const Point& at, double of_m2) { middles.push_back({at, of_m2, f}); });
+    eachPoint(facets[f], kThreePoints, [&](const Point& at, double of_m2) { thirds.push_back({at, of_m2, f}); });
+  }
 }
 
 std::optional<double> unoccludedExchange(const PatchShape& a, const PatchShape& b) {
   const double apart = length(a.centre - b.centre), radii = a.radius_m + b.radius_m;
   if (a.facets.size() * b.facets.size() > (apart > kPoints * radii ? kMostFar : kMostNear)) return {};
-  if (apart > kMiddles * radii) return betweenPoints(a, b, kOnePoint);
-  if (apart > kPoints * radii) return betweenPoints(a, b, kThreePoints);
+  if (apart > kMiddles * radii) return betweenPoints(a, a.middles, b, b.middles);
+  if (apart > kPoints * radii) return betweenPoints(a, a.thirds, b, b.thirds);
   for (const Facet& f : a.facets)
     for (const Facet& g : b.facets)
       if (isHard(f, g, kThin * std::min(a.radius_m, b.radius_m))) return {};

@@ -26,16 +26,42 @@ struct PatchShape {
     double area_m2 = 0;
 
     std::span<const Point> outline() const { return std::span(corner).first(corners); }
-    // Whether a ray comes through it from the front.
-    bool meets(const Point& origin, const Point& direction) const;
+  };
+  // A point that stands for an area.
+  struct Sample {
+    Point at;  // m
+    double area_m2;
+    uint32_t facet;
   };
   std::vector<Facet> facets;  // none of no area
+  std::vector<Sample> middles, thirds;  // one and three a triangle, facet by facet
   Point centre;
   double radius_m = 0;  // of a sphere around `centre` that holds all facets
   double area_m2 = 0;
 
   void assign(const PatchSet& set, uint32_t patch);  // reuses memory
   bool overlaps() const { return facets.size() > 1; }  // maybe
+};
+
+// The shapes of patches that were asked for lately: neighbours see the same ones.
+class PatchShapes {
+ public:
+  explicit PatchShapes(const PatchSet& set) : set_(set), kept_(kKept) {}  // outlives it
+  // Until the next one is asked for.
+  const PatchShape& of(uint32_t patch) {
+    Kept& kept = kept_[patch % kKept];
+    if (kept.patch != patch) kept.shape.assign(set_, kept.patch = patch);
+    return kept.shape;
+  }
+
+ private:
+  static constexpr size_t kKept = 1024;
+  struct Kept {
+    uint32_t patch = kNone;
+    PatchShape shape;
+  };
+  const PatchSet& set_;
+  std::vector<Kept> kept_;  // by the low bits of the patch's number
 };
 
 // None where that takes more work than it is worth, of patches of many facets, nor where a few points do not tell: where two cross or lie close upon each other.

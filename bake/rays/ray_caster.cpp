@@ -243,6 +243,17 @@ struct RayCaster::State {
     }
   };
 
+  // Whether it is a back that was hit, of a surface that counts with its front alone.
+  bool isBack(const Hit& hit) const {
+    return !hit.front && (scene->backs == Backs::kReflect || !scene->materials[scene->triangles[hit.triangle].material].double_sided);
+  }
+  // Rooms that share a plane of no thickness: of faces that coincide with a back that was hit the one that faces the ray is meant.
+  Cast facing(const Hit& back, const Cast& hit, float within_m) const {
+    const float steep = std::abs(dot(normalized(normalOf(cornersOf(*scene, back.triangle))), hit.ray.direction));
+    const float reach = offsets[back.triangle] / std::max(steep, 1e-3f), at = static_cast<float>(hit.to_m);
+    return Cast(*this, hit.ray, std::max(0.0f, at - reach), std::min(within_m, at + reach), true, hit.holes);
+  }
+
   // Rays that Embree takes together.
   struct Together {
     RTCIntersectContext embree;  // first: Embree hands back a pointer to it
@@ -633,33 +644,39 @@ RayCaster::RayCaster(std::shared_ptr<const State> state, RayTrail* trail, bool h
 RayCaster RayCaster::leaving(RayTrail* trail) const { return RayCaster(state_, trail, holes_); }
 RayCaster RayCaster::withoutHoles() const { return RayCaster(state_, trail_, false); }
 
-// Rooms that share a plane of no thickness: of faces that coincide the one that faces the ray is meant.
-Hit RayCaster::facing(const Hit& hit, const Ray& ray, float within_m, double distance_m) const {
-  const Scene& scene = *state_->scene;
-  if (hit.front || (scene.backs != Backs::kReflect && scene.materials[scene.triangles[hit.triangle].material].double_sided)) return hit;
-  const float steep = std::abs(dot(normalized(normalOf(cornersOf(scene, hit.triangle))), ray.direction));
-  const float reach = surfaceOffset(hit.triangle) / std::max(steep, 1e-3f), at = static_cast<float>(distance_m);
-  State::Cast cast(*state_, ray, std::max(0.0f, at - reach), std::min(within_m, at + reach), true, holes_);
-  state_->find(cast, false);
-  if (trail_) trail_->add(ray, cast.to_m);
-  return cast.triangle == kNone ? hit : cast.hit();
-}
-
 Hit RayCaster::nearest(const Ray& ray, float within_m) const {
   State::Cast cast(*state_, ray, 0, within_m, state_->scene->backs == Backs::kPass, holes_);
   state_->find(cast, false);
   if (trail_) trail_->add(ray, cast.to_m);
-  return facing(cast.hit(), ray, within_m, cast.to_m);
+  const Hit hit = cast.hit();
+  if (!state_->isBack(hit)) return hit;
+  State::Cast facing = state_->facing(hit, cast, within_m);
+  state_->find(facing, false);
+  if (trail_) trail_->add(ray, facing.to_m);
+  return facing.triangle == kNone ? hit : facing.hit();
 }
 
 void RayCaster::nearest(std::span<const Ray> rays, std::span<Hit> hits) const {
   const bool passed = state_->scene->backs == Backs::kPass;
+  std::vector<State::Cast> backs;  // that were hit
+  std::vector<uint32_t> ray_of;    // them
   state_->findAll(
       byDirection(rays.size(), [&](size_t i) -> const Ray& { return rays[i]; }), false, [&](size_t i) { return State::Cast(*state_, rays[i], 0, kInfinity, passed, holes_); },
-      [&](size_t i, const State::Cast& cast) {
+      [&](uint32_t i, const State::Cast& cast) {
         if (trail_) trail_->add(cast.ray, cast.to_m);
-        hits[i] = facing(cast.hit(), cast.ray, kInfinity, cast.to_m);
+        hits[i] = cast.hit();
+        if (!state_->isBack(hits[i])) return;
+        backs.push_back(state_->facing(hits[i], cast, kInfinity));
+        ray_of.push_back(i);
       });
+  for (size_t from = 0; from < backs.size(); from += kTogether) {
+    const size_t end = std::min(backs.size(), from + kTogether);
+    state_->find(std::span(backs).subspan(from, end - from), false);
+    for (size_t k = from; k < end; ++k) {
+      if (trail_) trail_->add(backs[k].ray, backs[k].to_m);
+      if (backs[k].triangle != kNone) hits[ray_of[k]] = backs[k].hit();
+    }
+  }
 }
 
 bool RayCaster::occluded(const Ray& ray, float distance_m) const {

@@ -51,7 +51,6 @@ class RayCaster {
   float surfaceOffset(uint32_t triangle) const;
 
  private:
-  Hit facing(const Hit& hit, const Ray& ray, float within_m, double distance_m) const;
   struct State;
   RayCaster(std::shared_ptr<const State> state, RayTrail* trail, bool holes);
   std::shared_ptr<const State> state_;

@@ -2,6 +2,8 @@
 
 #include <limits>
 
+#include "bake/wide.h"
+
 namespace ff::bake {
 namespace {
 
@@ -53,58 +55,37 @@ BlockRay::BlockRay(const Ray& ray)
 
 namespace {
 
-// Plain loops over rays without a branch, which the compiler turns into vector instructions.
-[[gnu::always_inline]] inline uint32_t tryAll(const TriangleBlock& block, const RayPacket& rays, uint32_t* may_meet) {
-  alignas(64) uint32_t may[RayPacket::kRays] = {};
-  for (size_t i = 0; i < TriangleBlock::kTriangles; ++i) {
-    const auto along = [i](const TriangleBlock::Plane& p, float x, float y, float z) { return p.x[i] * x + p.y[i] * y + p.z[i] * z; };
-    for (size_t k = 0; k < RayPacket::kRays; ++k) {
-      const float x = rays.x[k], y = rays.y[k], z = rays.z[k], dx = rays.along_x[k], dy = rays.along_y[k], dz = rays.along_z[k];
-      const float steep = along(block.distance, dx, dy, dz), slow = 1 / steep;
-      const float t = -(along(block.distance, x, y, z) + block.distance.at[i]) * slow;
-      const float error = (block.error[i] + rays.error[k]) * std::abs(slow), outside = -error * block.weight_error[i];
-      const float at_x = x + dx * t, at_y = y + dy * t, at_z = z + dz * t;
-      const float b = along(block.b, at_x, at_y, at_z) + block.b.at[i], c = along(block.c, at_x, at_y, at_z) + block.c.at[i], a = 1 - b - c;
-      const uint32_t apart = uint32_t{t + error < rays.from_m[k]} | uint32_t{t - error > rays.to_m[k]};
-      const uint32_t beside = uint32_t{a < outside} | uint32_t{b < outside} | uint32_t{c < outside};
-      may[k] |= (1 - ((apart | beside) & uint32_t{std::abs(steep) > kLevel})) << i;
+struct TryAll {
+  [[gnu::always_inline]] static uint32_t run(const TriangleBlock* block, const RayPacket* packet, uint32_t* may_meet) {
+    const RayPacket& rays = *packet;
+    alignas(64) uint32_t may[RayPacket::kRays] = {};
+    for (size_t i = 0; i < TriangleBlock::kTriangles; ++i) {
+      const auto along = [i](const TriangleBlock::Plane& p, float x, float y, float z) { return p.x[i] * x + p.y[i] * y + p.z[i] * z; };
+      for (size_t k = 0; k < RayPacket::kRays; ++k) {
+        const float x = rays.x[k], y = rays.y[k], z = rays.z[k], dx = rays.along_x[k], dy = rays.along_y[k], dz = rays.along_z[k];
+        const float steep = along(block->distance, dx, dy, dz), slow = 1 / steep;
+        const float t = -(along(block->distance, x, y, z) + block->distance.at[i]) * slow;
+        const float error = (block->error[i] + rays.error[k]) * std::abs(slow), outside = -error * block->weight_error[i];
+        const float at_x = x + dx * t, at_y = y + dy * t, at_z = z + dz * t;
+        const float b = along(block->b, at_x, at_y, at_z) + block->b.at[i], c = along(block->c, at_x, at_y, at_z) + block->c.at[i], a = 1 - b - c;
+        const uint32_t apart = uint32_t{t + error < rays.from_m[k]} | uint32_t{t - error > rays.to_m[k]};
+        const uint32_t beside = uint32_t{a < outside} | uint32_t{b < outside} | uint32_t{c < outside};
+        may[k] |= (1 - ((apart | beside) & uint32_t{std::abs(steep) > kLevel})) << i;
+      }
     }
+    uint32_t any = 0;
+    for (size_t k = 0; k < RayPacket::kRays; ++k) {
+      may_meet[k] = may[k] & static_cast<uint32_t>(rays.valid[k]);
+      any |= may_meet[k] != 0 ? 1u << k : 0u;
+    }
+    return any;
   }
-  uint32_t any = 0;
-  for (size_t k = 0; k < RayPacket::kRays; ++k) {
-    may_meet[k] = may[k] & static_cast<uint32_t>(rays.valid[k]);
-    any |= may_meet[k] != 0 ? 1u << k : 0u;
-  }
-  return any;
-}
-
-using Try = uint32_t(const TriangleBlock&, const RayPacket&, uint32_t*);
-[[gnu::target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")]] Try try512;
-[[gnu::target("avx2")]] Try try256;
-Try oneByOne;
-
-uint32_t try512(const TriangleBlock& block, const RayPacket& rays, uint32_t* may_meet) { return tryAll(block, rays, may_meet); }
-uint32_t try256(const TriangleBlock& block, const RayPacket& rays, uint32_t* may_meet) { return tryAll(block, rays, may_meet); }
-uint32_t oneByOne(const TriangleBlock& block, const RayPacket& rays, uint32_t* may_meet) {
-  uint32_t any = 0;
-  for (size_t k = 0; k < RayPacket::kRays; ++k) {
-    const BlockRay ray({{rays.x[k], rays.y[k], rays.z[k]}, {rays.along_x[k], rays.along_y[k], rays.along_z[k]}});
-    may_meet[k] = rays.valid[k] ? mayMeet(block, ray, rays.from_m[k], rays.to_m[k]) : 0;
-    any |= may_meet[k] != 0 ? 1u << k : 0u;
-  }
-  return any;
-}
-
-Try* widest() {
-  if (__builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) return try512;
-  return __builtin_cpu_supports("avx2") ? try256 : oneByOne;
-}
+};
 
 }  // namespace
 
 uint32_t mayMeet(const TriangleBlock& block, const RayPacket& rays, uint32_t (&may_meet)[RayPacket::kRays]) {
-  static Try* const tryThem = widest();
-  return tryThem(block, rays, may_meet);
+  return onWidest<TryAll>(&block, &rays, &may_meet[0]);
 }
 
 float originError(Vec3 origin) { return kErrorOfOrigin * std::max({std::abs(origin.x), std::abs(origin.y), std::abs(origin.z)}); }
