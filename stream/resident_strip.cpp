@@ -4,7 +4,7 @@
 
 namespace ff::stream {
 
-ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks) {
+ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const formats::TileRef& tile, std::span<formats::PartnerChunk> chunks) {
   ResidentStrip packed;
   static_cast<formats::RowWords&>(packed) = std::move(words);
   packed.tile = tile;
@@ -13,10 +13,10 @@ ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const form
   packed.nodes = std::move(strip.nodes);
   packed.lamps = std::move(strip.lamps);
   packed.partners.reserve(strip.blocks.size());
-  for (const formats::Block& block : strip.blocks) {
-    const formats::ChunkPtr& chunk = chunks[packed.partners.size()];
-    if (packed.chunks.empty() || packed.chunks.back() != chunk) packed.chunks.push_back(chunk);
-    packed.partners.push_back({block.partner_tile, static_cast<uint32_t>(packed.chunks.size() - 1)});
+  packed.chunks.reserve(chunks.size());
+  for (auto& [chunk, end_block] : chunks) {
+    for (size_t b = packed.partners.size(); b < end_block; ++b) packed.partners.push_back({strip.blocks[b].partner_tile, static_cast<uint32_t>(packed.chunks.size())});
+    packed.chunks.push_back(std::move(chunk));
   }
   packed.row_partners.reserve(packed.nodes.size());
   for (size_t r = 0; r < packed.nodes.size(); ++r) {

@@ -29,8 +29,8 @@ struct ResidentStrip : formats::RowWords {  // a run's partner: index into `part
 
 using StripPtr = std::shared_ptr<const ResidentStrip>;
 
-// Takes the strip apart, but for its entries, which are `words`. chunks: of each block's partner.
-ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const formats::TileRef& tile, std::span<const formats::ChunkPtr> chunks);
+// Takes the strip apart, but for its entries, which are `words`. chunks: of its partners.
+ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const formats::TileRef& tile, std::span<formats::PartnerChunk> chunks);
 
 // Bytes that a strip takes in memory.
 uint64_t residentBytes(const ResidentStrip& strip);

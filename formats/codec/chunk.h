@@ -72,6 +72,12 @@ struct TileRef {
   std::span<const uint8_t> parentIndex() const { return chunk->parentIndexOf(index); }
 };
 
+// Where a strip's partner tiles lie: those of the blocks behind the part before, up to end_block.
+struct PartnerChunk {
+  ChunkPtr chunk;
+  size_t end_block = 0;
+};
+
 // "tile 12 of chunk 3,-1,0 of level 2"
 std::string tileText(const TileRef& tile);
 

@@ -1,6 +1,7 @@
 // A strip's bytes: header (records.h) and one zstd frame whose content is described by StripLayout. The decoder is part
 // of the reading library, the encoder (encodeStrip, writer.h) of the writing one.
 #pragma once
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -66,7 +67,10 @@ inline constexpr uint16_t kFractionOne = 31 << 11;
 inline constexpr float kRowTotalUnit = 16;
 inline constexpr float kLampWeightUnit = 2;  // of a lamp's weights, likewise: an estimate of 1 may lie above
 uint16_t packFraction(float v);  // clamps; nearest, ties to even
-float unpackFraction(uint16_t code);
+inline float unpackFraction(uint16_t code) {
+  if (code >> 11 == 0) return static_cast<float>(code) * 0x1p-41f;
+  return std::bit_cast<float>((uint32_t{code} + (uint32_t{127 - 31} << 11)) << 12);
+}
 
 // A cut of the unit sphere into 65535^2 directions: the octahedral map (Meyer et al. On Floating-Point Normal Vectors.
 // 2010) with both coordinates as signed 16-bit fixed point. The zero vector is kZeroNormal in both.

@@ -11,13 +11,10 @@
 #include "formats/codec/checksum.h"
 #include "formats/codec/records.h"
 #include "formats/codec/strip_entries.h"
+#include "formats/codec/zstd_context.h"
 
 namespace ff::formats {
 namespace {
-
-struct ContextFree {
-  void operator()(ZSTD_DCtx* c) const { ZSTD_freeDCtx(c); }
-};
 
 // One plane-split array of `n` elements of sizeof(T) bytes, beginning at p.
 template <class T>
@@ -49,7 +46,7 @@ Result<void> checkHeader(const TileInfo& info, std::span<const std::byte> stored
 }
 
 Result<void> inflate(const TileInfo& info, std::span<const std::byte> payload, std::span<std::byte> raw) {
-  thread_local std::unique_ptr<ZSTD_DCtx, ContextFree> context(ZSTD_createDCtx());
+  thread_local std::unique_ptr<ZSTD_DCtx, FreeZstdContext> context(ZSTD_createDCtx());
   if (!context) return Error{ErrorCode::kIo, "", "", "out of memory for decompression", ""};
   const size_t frame = ZSTD_findFrameCompressedSize(payload.data(), payload.size());
   if (ZSTD_isError(frame) || frame != payload.size()) return brokenStrip(info, "payload is not one zstd frame");
@@ -58,13 +55,6 @@ Result<void> inflate(const TileInfo& info, std::span<const std::byte> payload, s
   if (n != raw.size()) return brokenStrip(info, "payload is shorter than the header says");
   return {};
 }
-
-// i8 / 127, by the byte: what a division gives, without one.
-constexpr std::array<float, 256> kSignedFraction = [] {
-  std::array<float, 256> fraction{};
-  for (int v = -128; v < 128; ++v) fraction[static_cast<uint8_t>(v)] = static_cast<float>(v) / 127.0f;
-  return fraction;
-}();
 
 bool validDirection(int x, int y, int z) {
   return x != -128 && y != -128 && z != -128 && x * x + y * y + z * z <= 127 * 127;
@@ -104,12 +94,24 @@ Result<void> decodeLamps(const TileInfo& info, const std::byte* raw, const Strip
   return {};
 }
 
-// put(node, value) for each node, of one plane-split array.
-template <class T, class Put>
-void forEachNode(const std::byte* raw, uint64_t offset, Strip& out, Put put) {
+// put(node, convert(value)) for each node, of one plane-split array. Sixteen values are converted at a time, which the compiler does several at
+// once; the last time with values that no node has.
+template <class T, class Convert, class Put>
+void forEachNode(const std::byte* array, Strip& out, Convert convert, Put put) {
+  constexpr size_t kAtOnce = 16;
+  static_assert(kAtOnce <= kEntryReadAhead);
   const size_t n = out.nodes.size();
-  for (size_t i = 0; i < n; ++i) put(out.nodes[i], planeValue<T>(raw + offset, n, i));
+  for (size_t first = 0; first < n; first += kAtOnce) {
+    std::array<decltype(convert(T{})), kAtOnce> values;
+    for (size_t k = 0; k < kAtOnce; ++k) values[k] = convert(planeValue<T>(array, n, first + k));
+    for (size_t i = first; i < std::min(n, first + kAtOnce); ++i) put(out.nodes[i], values[i - first]);
+  }
 }
+
+float unitFraction(uint16_t v) { return static_cast<float>(v) / 65535.0f; }
+float signedFraction(int8_t v) { return static_cast<float>(v) / 127.0f; }
+float asFloat(uint32_t v) { return std::bit_cast<float>(v); }
+uint16_t asIs(uint16_t v) { return v; }
 
 Result<void> checkNode(const TileInfo& info, size_t i, const Node& node, uint32_t max_quanta) {
   const auto bad = [&](const std::string& what) { return brokenStrip(info, "node " + std::to_string(i) + ": " + what); };
@@ -127,23 +129,23 @@ Result<void> checkNode(const TileInfo& info, size_t i, const Node& node, uint32_
 Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const StripLayout& layout, uint32_t max_quanta, Strip& out) {
   const size_t n = layout.nodes;
   out.nodes.assign(n, Node{});
-  forEachNode<uint32_t>(raw, layout.area(), out, [](Node& node, uint32_t v) { node.area_m2 = std::bit_cast<float>(v); });
+  forEachNode<uint32_t>(raw + layout.area(), out, asFloat, [](Node& node, float v) { node.area_m2 = v; });
   for (int k = 0; k < 3; ++k) {
     const auto c = static_cast<size_t>(k);
     const float lo = info.bounds.lo[k], extent = info.bounds.hi[k] - lo;
-    forEachNode<uint16_t>(raw, layout.centroid() + 2 * n * c, out, [&](Node& node, uint16_t v) { node.centroid[k] = lo + extent * (static_cast<float>(v) / 65535.0f); });
-    forEachNode<uint16_t>(raw, layout.albedo() + 2 * n * c, out, [&](Node& node, uint16_t v) { node.albedo[k] = static_cast<float>(v) / 65535.0f; });
-    forEachNode<uint32_t>(raw, layout.emission() + 4 * n * c, out, [&](Node& node, uint32_t v) { node.emission[k] = std::bit_cast<float>(v); });
-    forEachNode<uint8_t>(raw, layout.skyDirection() + n * c, out, [&](Node& node, uint8_t v) { node.sky_direction[k] = kSignedFraction[v]; });
+    forEachNode<uint16_t>(raw + layout.centroid() + 2 * n * c, out, [&](uint16_t v) { return lo + extent * unitFraction(v); }, [&](Node& node, float v) { node.centroid[k] = v; });
+    forEachNode<uint16_t>(raw + layout.albedo() + 2 * n * c, out, unitFraction, [&](Node& node, float v) { node.albedo[k] = v; });
+    forEachNode<uint32_t>(raw + layout.emission() + 4 * n * c, out, asFloat, [&](Node& node, float v) { node.emission[k] = v; });
+    forEachNode<int8_t>(raw + layout.skyDirection() + n * c, out, signedFraction, [&](Node& node, float v) { node.sky_direction[k] = v; });
   }
   for (size_t k = 0; k < Node{}.sky_quadratic.size(); ++k)
-    forEachNode<uint8_t>(raw, layout.skyQuadratic() + n * k, out, [&](Node& node, uint8_t v) { node.sky_quadratic[k] = kSignedFraction[v]; });
-  forEachNode<uint16_t>(raw, layout.quanta(), out, [](Node& node, uint16_t v) { node.quanta = v; });
-  forEachNode<uint16_t>(raw, layout.sky(), out, [](Node& node, uint16_t v) { node.sky = v; });
-  forEachNode<uint16_t>(raw, layout.absorbed(), out, [](Node& node, uint16_t v) { node.absorbed = v; });
-  forEachNode<uint16_t>(raw, layout.skyFraction(), out, [](Node& node, uint16_t v) { node.sky_fraction = unpackFraction(v); });
-  forEachNode<uint16_t>(raw, layout.rowTotal(), out, [](Node& node, uint16_t v) { node.row_total = kRowTotalUnit * unpackFraction(v); });
-  forEachNode<uint16_t>(raw, layout.lampGroup(), out, [](Node& node, uint16_t v) { node.lamp_group = v; });
+    forEachNode<int8_t>(raw + layout.skyQuadratic() + n * k, out, signedFraction, [&](Node& node, float v) { node.sky_quadratic[k] = v; });
+  forEachNode<uint16_t>(raw + layout.quanta(), out, asIs, [](Node& node, uint16_t v) { node.quanta = v; });
+  forEachNode<uint16_t>(raw + layout.sky(), out, asIs, [](Node& node, uint16_t v) { node.sky = v; });
+  forEachNode<uint16_t>(raw + layout.absorbed(), out, asIs, [](Node& node, uint16_t v) { node.absorbed = v; });
+  forEachNode<uint16_t>(raw + layout.skyFraction(), out, unpackFraction, [](Node& node, float v) { node.sky_fraction = v; });
+  forEachNode<uint16_t>(raw + layout.rowTotal(), out, unpackFraction, [](Node& node, float v) { node.row_total = kRowTotalUnit * v; });
+  forEachNode<uint16_t>(raw + layout.lampGroup(), out, asIs, [](Node& node, uint16_t v) { node.lamp_group = v; });
   for (size_t i = 0; i < n; ++i) {
     Node& node = out.nodes[i];
     const auto bad = [&](const char* what) { return brokenStrip(info, "node " + std::to_string(i) + ": " + what); };
@@ -185,11 +187,6 @@ Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const Stri
 
 }  // namespace
 
-float unpackFraction(uint16_t code) {
-  if (code >> 11 == 0) return static_cast<float>(code) * 0x1p-41f;
-  return std::bit_cast<float>((uint32_t{code} + (uint32_t{127 - 31} << 11)) << 12);
-}
-
 Vec3 unpackNormal(OctNormal n) {
   if (n.u == kZeroNormal || n.v == kZeroNormal) return {};
   const float x = static_cast<float>(n.u) / 32767.0f, y = static_cast<float>(n.v) / 32767.0f;
@@ -204,8 +201,8 @@ Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<c
   if (auto ok = checkHeader(info, stored, header); !ok) return ok;
   StripLayout layout{header.nodes, header.chunks, header.blocks};
   thread_local std::vector<std::byte> scratch;  // bounded by kMaxStripRawBytes
-  scratch.resize(header.raw_bytes + kEntryReadAhead);
-  const std::span raw = std::span(scratch).first(header.raw_bytes);
+  scratch.resize(std::max(scratch.size(), header.raw_bytes + kEntryReadAhead));  // never smaller: what grows is written twice
+  const std::span payload = std::span(scratch).first(header.raw_bytes + kEntryReadAhead), raw = payload.first(header.raw_bytes);
   if (auto ok = inflate(info, stored.subspan(kStripHeaderBytes), raw); !ok) return ok;
   if (auto ok = countLamps(info, raw, layout); !ok) return ok;
   out.id = info.id;
@@ -215,7 +212,7 @@ Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<c
   if (auto ok = decodeBlocks(info, raw.data(), layout, out, partners); !ok) return ok;
   thread_local RowWords for_arrays;
   RowWords& rows = words ? *words : for_arrays;
-  if (auto ok = decodeEntries(info, scratch, layout, maxRowQuanta(quanta), out, partners, rows); !ok) return ok;
+  if (auto ok = decodeEntries(info, payload, layout, maxRowQuanta(quanta), out, partners, rows); !ok) return ok;
   out.rows.clear();
   out.columns.clear();
   out.counts.clear();

@@ -11,6 +11,7 @@
 #include "formats/codec/checksum.h"
 #include "formats/codec/records.h"
 #include "formats/codec/strip_codec.h"
+#include "formats/codec/zstd_context.h"
 #include "formats/write/writer.h"
 
 namespace ff::formats {
@@ -20,10 +21,6 @@ namespace {
 // level 3 with this strategy 1.050 and 35, with btlazy2 1.047 and 59, level 6 1.066 and 38. Tracing the rays of an entry takes
 // microseconds.
 constexpr ZSTD_strategy kZstdStrategy = ZSTD_lazy2;
-
-struct ContextFree {
-  void operator()(ZSTD_CCtx* c) const { ZSTD_freeCCtx(c); }
-};
 
 Error unfit(const Strip& strip, const std::string& message) {
   return {ErrorCode::kPhysics, "", "strip " + std::to_string(strip.id.level) + ":" + std::to_string(strip.id.tile),
@@ -242,7 +239,7 @@ void putEntries(std::byte* raw, const StripLayout& layout, const Strip& strip, s
 // One frame, but a block of its own for each kind of stream: their statistics differ, and zstd has one Huffman table a
 // block. Worth 3 % of the size. ends: offsets in `raw` at which blocks end; the last is raw.size().
 bool compressStreams(std::span<const std::byte> raw, std::initializer_list<uint64_t> ends, std::vector<std::byte>& out) {
-  thread_local std::unique_ptr<ZSTD_CCtx, ContextFree> context(ZSTD_createCCtx());
+  thread_local std::unique_ptr<ZSTD_CCtx, FreeZstdContext> context(ZSTD_createCCtx());
   ZSTD_CCtx* c = context.get();
   if (c == nullptr || ZSTD_isError(ZSTD_CCtx_reset(c, ZSTD_reset_session_and_parameters)) ||
       ZSTD_isError(ZSTD_CCtx_setParameter(c, ZSTD_c_compressionLevel, kZstdLevel)) ||

@@ -5,103 +5,68 @@
 #include <bit>
 #include <cstring>
 #include <string>
-#include <tuple>
 #include <utility>
 
 namespace ff::formats {
 namespace {
 
-// Sixteen bytes at once, in the compiler's own vectors: any processor has them, and none needs code of its own.
+// Sixteen bytes at once: in two integers, where a multiplication adds up, and in the compiler's own vectors. Any processor has both, and none
+// needs code of its own.
 constexpr uint32_t kLanes = 16;
 typedef uint8_t Bytes __attribute__((vector_size(kLanes)));
 typedef uint64_t Halves __attribute__((vector_size(kLanes)));
-static_assert(std::endian::native == std::endian::little, "a word's count is its lower byte");
+static_assert(std::endian::native == std::endian::little, "lanes are loaded as they lie, and a word's count is its lower byte");
 
-Bytes load(const void* from) {
-  Bytes v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-
-// Never through memory, where what has just been stored a byte at a time is slow to load as a whole.
-Bytes inFirstLane(uint32_t byte) { return std::bit_cast<Bytes>(Halves{byte, 0}); }
-uint32_t lastLane(Bytes v) { return static_cast<uint32_t>(std::bit_cast<Halves>(v)[1] >> 56); }
-bool anyOf(Bytes v) {
-  const auto halves = std::bit_cast<Halves>(v);
-  return (halves[0] | halves[1]) != 0;
-}
-
-// Lane k is lane k - N of v; the first N are 0.
-template <int N, int... Lane>
-Bytes movedUp(Bytes v, std::integer_sequence<int, Lane...>) {
-  return __builtin_shufflevector(Bytes{}, v, (static_cast<int>(kLanes) - N + Lane)...);
-}
-template <int N>
-Bytes movedUp(Bytes v) {
-  return movedUp<N>(v, std::make_integer_sequence<int, kLanes>{});
-}
-
-// Lane k is the sum of the lanes 0 to k, modulo 256.
-Bytes prefixSums(Bytes v) {
-  v += movedUp<1>(v);
-  v += movedUp<2>(v);
-  v += movedUp<4>(v);
-  return v + movedUp<8>(v);
-}
-
-// Of its 16 lanes from kLanes - n on, the first n are all ones and the others zero.
-constexpr std::array<uint8_t, size_t{2} * kLanes> kFirstLanes = [] {
-  std::array<uint8_t, size_t{2} * kLanes> lanes{};
-  std::fill_n(lanes.begin(), kLanes, uint8_t{0xff});
+template <class T>
+T load(const void* from) {
+  T lanes;
+  std::memcpy(&lanes, from, sizeof lanes);
   return lanes;
-}();
+}
 
-// The words of a block, run by run. Up to kLanes - 1 words behind a run's end are overwritten.
-class BlockDecoder {
+// Byte k is the sum of the bytes 0 to k, as long as that is 255 at most; the bytes above the first that exceeds it are unspecified.
+uint64_t prefixSums(uint64_t bytes) { return bytes * 0x0101010101010101; }
+uint32_t lastByte(uint64_t bytes) { return static_cast<uint32_t>(bytes >> 56); }
+
+uint64_t sumOf(std::span<const uint8_t> bytes) {
+  uint64_t sum = 0;
+  for (size_t i = 0; i < bytes.size();) {
+    uint32_t part = 0;
+    for (const size_t end = std::min(bytes.size(), i + 65536); i < end; ++i) part += bytes[i];
+    sum += part;
+  }
+  return sum;
+}
+
+// The words of a strip, run by run. Up to kLanes - 1 words behind a run's end are overwritten.
+class RunDecoder {
  public:
   // column_steps, counts: of the strip's first run, with kEntryReadAhead bytes behind the last.
-  BlockDecoder(const uint8_t* column_steps, const uint8_t* counts) : column_steps_(column_steps), counts_(counts) {}
+  RunDecoder(const uint8_t* column_steps, const uint8_t* counts) : column_steps_(column_steps), counts_(counts) {}
 
-  void begin() {
-    max_column_ = 0;
-    disorder_ = Bytes{};
-  }
-  // words: at least 1. to: with room for kLanes words more.
-  void decodeRun(uint32_t first_column, uint32_t words, uint16_t* to) {
-    const uint8_t* steps = column_steps_ + kLanes - 1;  // of the next lanes, if any
-    Bytes columns = movedUp<1>(load(column_steps_)) | inFirstLane(first_column), before_first = inFirstLane(0);
-    Bytes ordered = load(kBehindFirst.data());
+  // words: at least 1. to: with room for kLanes words more. Returns the last column, or less if that is past 255.
+  uint32_t next(uint32_t first_column, uint32_t words, uint16_t* to) {
+    const uint8_t *steps = column_steps_ + kLanes - 1, *counts = counts_;  // steps: of the next lanes, if any
+    uint64_t low = load<uint64_t>(column_steps_) << 8 | first_column, high = load<uint64_t>(column_steps_ + kLanes / 2 - 1);
     column_steps_ += words - 1;
+    counts_ += words;
     for (;;) {
-      const uint32_t n = std::min(words, kLanes);
-      const Bytes lanes = load(kFirstLanes.data() + kLanes - n);
-      columns = prefixSums(columns & lanes);
-      disorder_ |= std::bit_cast<Bytes>(columns <= (movedUp<1>(columns) | before_first)) & lanes & ordered;
-      store(load(counts_), columns, to);
-      counts_ += n;
-      words -= n;
-      if (words == 0) break;
+      low = prefixSums(low);
+      high = prefixSums(high + lastByte(low));
+      store(load<Bytes>(counts), std::bit_cast<Bytes>(Halves{low, high}), to);
+      if (words <= kLanes) return to[words - 1] >> 8;
+      words -= kLanes;
       to += kLanes;
-      ordered = ~Bytes{};
-      before_first = inFirstLane(lastLane(columns));
-      columns = load(steps) + before_first;
+      counts += kLanes;
+      low = load<uint64_t>(steps) + lastByte(high);
+      high = load<uint64_t>(steps + kLanes / 2);
       steps += kLanes;
     }
-    max_column_ = std::max(max_column_, lastLane(columns));
   }
-  uint32_t maxColumn() const { return max_column_; }
-  // Some columns do not rise: those of entries of several words, or of a damaged strip.
-  bool hasRepeats() const { return anyOf(disorder_); }
   const uint8_t* columnSteps() const { return column_steps_; }
   const uint8_t* counts() const { return counts_; }
 
  private:
-  static constexpr std::array<uint8_t, kLanes> kBehindFirst = [] {
-    std::array<uint8_t, kLanes> lanes{};
-    std::fill(lanes.begin() + 1, lanes.end(), uint8_t{0xff});
-    return lanes;
-  }();
-
   static void store(Bytes counts, Bytes columns, uint16_t* to) {
     const Bytes low = __builtin_shufflevector(counts, columns, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
     const Bytes high = __builtin_shufflevector(counts, columns, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
@@ -110,9 +75,22 @@ class BlockDecoder {
   }
 
   const uint8_t *column_steps_, *counts_;
-  uint32_t max_column_ = 0;
-  Bytes disorder_{};
 };
+
+// Copies a row's words, eight at once, and adds their counts up. Up to seven words behind the row are read and written, too.
+uint32_t copyRow(const uint16_t* from, size_t words, uint16_t* to) {
+  typedef uint32_t Pairs __attribute__((vector_size(16)));
+  constexpr size_t kAtOnce = 8;
+  static constexpr std::array<uint16_t, 2 * kAtOnce> kFirstWords{0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff};
+  Pairs sums{};
+  for (;; from += kAtOnce, to += kAtOnce, words -= kAtOnce) {
+    const auto pairs = load<Pairs>(from);
+    std::memcpy(to, &pairs, sizeof pairs);
+    const Pairs counts = pairs & load<Pairs>(kFirstWords.data() + kAtOnce - std::min(words, kAtOnce));
+    sums += (counts & 0xffff) + (counts >> 16);
+    if (words <= kAtOnce) return sums[0] + sums[1] + sums[2] + sums[3];
+  }
+}
 
 // The runs of a strip, block by block, in the order of the payload.
 class Runs {
@@ -149,7 +127,6 @@ class EntryDecoder {
     const auto contradict = [&] { return brokenStrip(info_, "sizes in the header and the number of runs or words contradict each other"); };
     for (size_t b = 0; b < layout_.blocks; ++b) layout_.runs += runsOf(b);
     if (layout_.columnSteps() > payload_bytes_) return contradict();
-    std::array<uint32_t, kTileNodes> row_runs{}, row_words{};
     uint64_t words = 0;
     Runs runs(at_, layout_);
     for (size_t b = 0; b < layout_.blocks; ++b) {
@@ -158,91 +135,110 @@ class EntryDecoder {
         runs.next();
         if (runs.row() >= layout_.nodes) return bad(b, "a row is outside the tile");
         words += runs.words();
-        row_words[runs.row()] += runs.words();
-        row_runs[runs.row()] += 1;
+        next_[runs.row()] += kOneRun + runs.words();
       }
     }
     if (layout_.end() + 2 * words != payload_bytes_) return contradict();  // the end without any
     layout_.words = static_cast<uint32_t>(words);
-    for (auto [starts, numbers, next] : {std::tuple(&words_.run_start, &row_runs, &next_run_), std::tuple(&words_.row_start, &row_words, &next_word_)}) {
-      starts->resize(layout_.nodes + size_t{1});
-      uint32_t sum = 0;
-      for (size_t r = 0; r < layout_.nodes; ++r) {
-        (*starts)[r] = (*next)[r] = sum;
-        sum += (*numbers)[r];
-      }
-      starts->back() = sum;
+    words_.run_start.resize(layout_.nodes + size_t{1});
+    words_.row_start.resize(layout_.nodes + size_t{1});
+    uint64_t start = 0;
+    for (size_t r = 0; r <= layout_.nodes; ++r) {
+      words_.run_start[r] = runsIn(start);
+      words_.row_start[r] = wordsIn(start);
+      if (r < layout_.nodes) start += std::exchange(next_[r], start);
     }
     return {};
   }
 
   Result<void> decode(std::span<Block> blocks, std::span<PartnerName> partners) {
     words_.runs.resize(layout_.runs);
-    scratch_.resize(size_t{layout_.words} + size_t{kLanes} * layout_.nodes);
+    scratch_.resize(std::max(scratch_.size(), size_t{layout_.words} + size_t{kLanes} * layout_.nodes));  // never smaller: what grows is written twice
     uint16_t* const words = scratch_.data();
     RowWords::Run* const row_runs = words_.runs.data();
     Runs runs(at_, layout_);
-    BlockDecoder decoder(at_ + layout_.columnSteps(), at_ + layout_.counts());
-    uint64_t entries = 0;
+    const uint8_t *const all_steps = at_ + layout_.columnSteps(), *const all_counts = at_ + layout_.counts();
+    RunDecoder decoder(all_steps, all_counts);
+    const uint8_t* next_repeat = firstZero(all_steps, all_counts);
+    uint64_t entries = 0, rise = 0;  // rise: from the runs' first columns to their last ones
     for (size_t b = 0; b < layout_.blocks; ++b) {
-      const Runs first = runs;
-      const uint8_t *steps = decoder.columnSteps(), *counts = decoder.counts();
-      decoder.begin();
+      Runs first = runs;
+      const uint8_t *steps = decoder.columnSteps(), *counts = decoder.counts(), *const first_count = counts;
+      uint32_t max_column = 0;
       runs.beginBlock();
       for (uint32_t left = runsOf(b); left > 0; --left) {
         runs.next();
-        const uint32_t row = runs.row(), n = runs.words(), word = next_word_[row];
-        decoder.decodeRun(runs.firstColumn(), n, words + word + kLanes * row);
-        next_word_[row] = word + n;
-        row_runs[next_run_[row]++] = {static_cast<uint16_t>(b), static_cast<uint16_t>(n)};
+        const uint32_t row = runs.row(), n = runs.words();
+        const uint64_t next = next_[row];
+        next_[row] = next + kOneRun + n;
+        const uint32_t column = decoder.next(runs.firstColumn(), n, words + wordsIn(next) + kLanes * row);
+        rise += uint64_t{column} - runs.firstColumn();
+        max_column = std::max(max_column, column);
+        row_runs[runsIn(next)] = {static_cast<uint16_t>(b), static_cast<uint16_t>(n)};
       }
-      const auto block_words = static_cast<size_t>(decoder.counts() - counts);
       uint32_t repeats = 0;
-      if (decoder.hasRepeats() && !countRepeats(first, runsOf(b), steps, counts, repeats)) return bad(b, "entries are not in order of row and column");
-      blocks[b].entries = static_cast<uint32_t>(block_words) - repeats;
-      partners[b].columns = decoder.maxColumn() + 1;
+      if (next_repeat < decoder.columnSteps()) {
+        if (!countRepeats(first, runsOf(b), steps, counts, repeats)) return firstDisorder();
+        next_repeat = firstZero(decoder.columnSteps(), all_counts);
+      }
+      blocks[b].entries = static_cast<uint32_t>(decoder.counts() - first_count) - repeats;
+      partners[b].columns = max_column + 1;
       entries += blocks[b].entries;
     }
+    if (rise != sumOf({all_steps, all_counts})) return firstDisorder();  // a column is past 255
     if (entries != info_.entries) return brokenStrip(info_, "blocks do not add up to the strip's entries");
     return {};
   }
 
   // The rows' words, one behind the other, and whether they add up.
   Result<void> close(std::span<const Node> nodes) {
-    words_.words.clear();
-    words_.words.reserve(layout_.words);
+    words_.words.resize(layout_.words + kLanes);
+    const uint8_t *const counts = at_ + layout_.counts(), *const end = at_ + layout_.end();
+    const bool any_zero = firstZero(counts, end) != end;
     for (size_t i = 0; i < nodes.size(); ++i) {
       const auto wrong = [&](const std::string& what) { return brokenStrip(info_, "row " + std::to_string(i) + what); };
       const char* const too_many = " has more samples than any in this world";
       const std::span row = std::span(scratch_).subspan(words_.row_start[i] + kLanes * i, words_.row_start[i + 1] - words_.row_start[i]);
       if (row.size() > max_quanta_) return wrong(too_many);  // each is one at least; so the sum fits
-      uint32_t sum = 0;
-      int16_t least = kMaxWordCount;
-      for (const uint16_t word : row) {
-        const auto count = static_cast<int16_t>(word & kMaxWordCount);
-        sum += static_cast<uint32_t>(count);
-        least = std::min(least, count);
-      }
-      words_.words.insert(words_.words.end(), row.begin(), row.end());
-      if (least == 0) return wrong(": a count is zero");
+      const uint32_t sum = copyRow(row.data(), row.size(), words_.words.data() + words_.row_start[i]);
+      if (any_zero && std::ranges::any_of(row, [](uint16_t word) { return (word & kMaxWordCount) == 0; })) return wrong(": a count is zero");
       if (sum > max_quanta_) return wrong(too_many);
       const Node& node = nodes[i];
       if (sum + node.sky + node.absorbed != node.quanta)
         return wrong(": entries " + std::to_string(sum) + " + sky " + std::to_string(node.sky) + " + absorbed " + std::to_string(node.absorbed) + " are not the row's " +
                      std::to_string(node.quanta) + " quanta");
     }
+    words_.words.resize(layout_.words);
     return {};
   }
 
  private:
+  // Of runs and of words, how many or which is next, in one number: a run adds to both at once.
+  static constexpr uint64_t kOneRun = uint64_t{1} << 32;
+  static uint32_t runsIn(uint64_t both) { return static_cast<uint32_t>(both >> 32); }
+  static uint32_t wordsIn(uint64_t both) { return static_cast<uint32_t>(both); }
+  static const uint8_t* firstZero(const uint8_t* from, const uint8_t* end) {
+    const void* const zero = std::memchr(from, 0, static_cast<size_t>(end - from));
+    return zero ? static_cast<const uint8_t*>(zero) : end;
+  }
   static std::vector<uint16_t>& scratch() {
     thread_local std::vector<uint16_t> words;
     return words;
   }
   Error bad(size_t block, const char* what) const { return brokenStrip(info_, "block " + std::to_string(block) + ": " + what); }
   uint32_t runsOf(size_t block) const { return uint32_t{at_[layout_.blockRuns() + block]} + 1; }
+  // The error of the first block that is not in order; there is one.
+  Error firstDisorder() const {
+    Runs runs(at_, layout_);
+    const uint8_t *steps = at_ + layout_.columnSteps(), *counts = at_ + layout_.counts();
+    size_t b = 0;
+    for (uint32_t repeats = 0; countRepeats(runs, runsOf(b), steps, counts, repeats); ++b) {
+    }
+    return bad(b, "entries are not in order of row and column");
+  }
   // Words with the column of the word before, which go on with its entry. False if one does not, or a column is past 255.
-  static bool countRepeats(Runs runs, uint32_t left, const uint8_t* steps, const uint8_t* counts, uint32_t& repeats) {
+  // Moves on to the next block.
+  static bool countRepeats(Runs& runs, uint32_t left, const uint8_t*& steps, const uint8_t*& counts, uint32_t& repeats) {
     for (runs.beginBlock(); left > 0; --left, ++counts) {
       runs.next();
       uint32_t column = runs.firstColumn();
@@ -263,7 +259,7 @@ class EntryDecoder {
   uint32_t max_quanta_;
   RowWords& words_;
   std::vector<uint16_t>& scratch_;  // the rows with kLanes words behind each
-  std::array<uint32_t, kTileNodes> next_word_{}, next_run_{};
+  std::array<uint64_t, kTileNodes> next_{};  // of each row; first, how many it has
 };
 
 }  // namespace

@@ -110,13 +110,14 @@ Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, c
   return (*file)->read(extent.offset, out, options);
 }
 
+ChunkPtr World::childHere(const Chunk& parent, uint32_t child) const {
+  const std::lock_guard lock(state_->mutex);
+  return parent.children_here.empty() ? nullptr : parent.children_here[child].lock();
+}
+
 Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options) const try {
   const State& s = *state_;
-  {
-    const std::lock_guard lock(s.mutex);
-    if (!parent->children_here.empty())
-      if (ChunkPtr here = parent->children_here[child].lock()) return here;
-  }
+  if (ChunkPtr here = childHere(*parent, child)) return here;
   const ChildChunk& wanted = parent->children[child];
   const auto inRecord = [&](Error e) {
     if (e.file.empty()) e.file = s.pathOf(wanted.record.shard);
@@ -158,6 +159,9 @@ namespace {
 // What a compiler makes a call of memcmp of, if it is written as ==.
 bool same(const ChunkCell& a, const ChunkCell& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
+// Whether the record has the tile of that number.
+bool holds(const Chunk& chunk, uint32_t tile) { return tile >= chunk.first_number && tile - chunk.first_number < chunk.tiles.size(); }
+
 // The cell of `level` that a chunk of a finer level lies in.
 ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
   for (int32_t& a : cell) a >>= level - from;
@@ -168,22 +172,26 @@ ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
 
 Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
   // From the lowest chunk that covers the place up: a cell may have several records.
-  for (ChunkPtr at = from;; at = at->parent) {
+  for (const Chunk* at = from.get();; at = at->parent.get()) {
     if (at->parent && !same(at->cell, ancestorOf(name.chunk, level, at->level))) continue;
-    auto found = search(at, level, name);
+    auto found = search(at->shared_from_this(), level, name);
     if (!found || *found || !at->parent) return found;
   }
 }
 
 // Below a chunk that covers the place; null: it is not there.
-Result<ChunkPtr> World::search(const ChunkPtr& at, uint32_t level, const TileName& name) const {
-  if (at->level == level) return name.tile >= at->first_number && name.tile - at->first_number < at->tiles.size() ? at : ChunkPtr();
+Result<ChunkPtr> World::search(ChunkPtr at, uint32_t level, const TileName& name) const {
+  if (at->level == level) return holds(*at, name.tile) ? std::move(at) : ChunkPtr();
   const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
   for (uint32_t k = 0; k < at->children.size(); ++k) {
     if (!same(at->children[k].cell, next)) continue;
-    auto below = child(at, k);
-    if (!below) return below.error();
-    auto found = search(*below, level, name);
+    ChunkPtr below = childHere(*at, k);
+    if (!below) {
+      auto read = child(at, k);
+      if (!read) return read;
+      below = std::move(*read);
+    }
+    auto found = search(std::move(below), level, name);
     if (!found || *found) return found;
   }
   return ChunkPtr();
@@ -265,26 +273,26 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
   PartnerChunks& chunks = partners ? *partners : own;
   chunks.clear();
   for (size_t b = 0; b < names.size(); ++b) {
-    const bool here = b > 0 && same(names[b].step, names[b - 1].step) && names[b].tile >= chunks.back()->first_number &&
-                      names[b].tile - chunks.back()->first_number < chunks.back()->tiles.size();
-    if (!here) {
+    if (b == 0 || !same(names[b].step, names[b - 1].step) || !holds(*chunks.back().chunk, names[b].tile)) {
       ChunkCell cell;
       for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
-      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, b > 0 ? chunks.back() : tile.chunk);
+      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, b > 0 ? chunks.back().chunk : tile.chunk);
       if (!found) return found.error();
       if (!*found) return bad(b, "names a tile that is not there");
-      chunks.push_back(std::move(*found));
-    } else {
-      chunks.push_back(chunks.back());
+      chunks.push_back({std::move(*found), b});
     }
-    __builtin_prefetch(&chunks.back()->tiles[names[b].tile - chunks.back()->first_number].nodes);  // they lie far apart
+    PartnerChunk& part = chunks.back();
+    part.end_block = b + 1;
+    __builtin_prefetch(&part.chunk->tiles[names[b].tile - part.chunk->first_number].nodes);  // they lie far apart
   }
-  for (size_t b = 0; b < names.size(); ++b) {
-    const uint32_t index = names[b].tile - chunks[b]->first_number;
-    out.blocks[b].partner_tile = chunks[b]->firstTile() + index;
-    if (names[b].columns > chunks[b]->tiles[index].nodes) return bad(b, "has a column outside the partner tile");
-    if (b > 0 && out.blocks[b].partner_tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
-  }
+  size_t b = 0;
+  for (const auto& [chunk, end_block] : chunks)
+    for (const uint32_t first_tile = chunk->firstTile(); b < end_block; ++b) {
+      const uint32_t index = names[b].tile - chunk->first_number;
+      out.blocks[b].partner_tile = first_tile + index;
+      if (names[b].columns > chunk->tiles[index].nodes) return bad(b, "has a column outside the partner tile");
+      if (b > 0 && out.blocks[b].partner_tile <= out.blocks[b - 1].partner_tile) return bad(b, "does not follow the block before in the order of tiles");
+    }
   return {};
 }
 

@@ -62,10 +62,10 @@ class World {
   };
   Result<Tiles> childTiles(const TileRef& tile) const;
 
-  // Where a strip's partner tiles lie, for those who look further: the chunk of each block's partner.
-  using PartnerChunks = std::vector<ChunkPtr>;
+  // Where a strip's partner tiles lie, for those who look further.
+  using PartnerChunks = std::vector<PartnerChunk>;
   // Decodes stored bytes (of `tile`'s strip, read by any means) into `out`, whose vectors are reused. Checks the checksum and every rule of
-  // FORMAT.md. May read the index of the partners' chunks; partners: these, by block, if it is not null.
+  // FORMAT.md. May read the index of the partners' chunks; partners: theirs, in the order of blocks, if it is not null.
   Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr, RowWords* words = nullptr) const;
   // Reads stored bytes. out: Extent::stored_bytes.
   Result<void> readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options = {}) const;
@@ -80,7 +80,8 @@ class World {
  private:
   struct State;
   explicit World(std::unique_ptr<State> state);
-  Result<ChunkPtr> search(const ChunkPtr& at, uint32_t level, const TileName& name) const;
+  ChunkPtr childHere(const Chunk& parent, uint32_t child) const;  // null: nobody holds it
+  Result<ChunkPtr> search(ChunkPtr at, uint32_t level, const TileName& name) const;
   Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const;
   std::unique_ptr<State> state_;
 };

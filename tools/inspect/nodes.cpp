@@ -61,7 +61,7 @@ NodeName nameOf(const TileRef& tile, uint32_t index) { return {tile.id().level, 
 struct NamedStrip {
   TileRef tile;
   Strip strip;
-  World::PartnerChunks chunks;  // by block
+  std::vector<TileRef> partners;  // by block
 };
 
 Result<NamedStrip> readStrip(const World& world, uint32_t level, const TileName& name) {
@@ -71,7 +71,10 @@ Result<NamedStrip> readStrip(const World& world, uint32_t level, const TileName&
   out.tile = *tile;
   std::vector<std::byte> stored(tile->info().strip.stored_bytes);
   if (auto ok = world.readStored(tile->info().strip, stored); !ok) return ok.error();
-  if (auto ok = world.decodeStrip(*tile, stored, out.strip, &out.chunks); !ok) return ok.error();
+  World::PartnerChunks chunks;
+  if (auto ok = world.decodeStrip(*tile, stored, out.strip, &chunks); !ok) return ok.error();
+  for (const auto& [chunk, end_block] : chunks)
+    for (size_t b = out.partners.size(); b < end_block; ++b) out.partners.push_back({chunk, out.strip.blocks[b].partner_tile - chunk->firstTile()});
   return out;
 }
 
@@ -92,7 +95,7 @@ std::vector<RowEntry> rowEntries(const NamedStrip& s, uint32_t row) {
   std::vector<RowEntry> entries;
   size_t e = 0;
   for (size_t b = 0; b < s.strip.blocks.size(); ++b) {
-    const TileRef partner{s.chunks[b], s.strip.blocks[b].partner_tile - s.chunks[b]->firstTile()};
+    const TileRef& partner = s.partners[b];
     for (const size_t end = e + s.strip.blocks[b].entries; e < end; ++e)
       if (s.strip.rows[e] == row)
         entries.push_back({nameOf(partner, s.strip.columns[e]), partner.info().first_node + s.strip.columns[e], s.strip.counts[e]});
@@ -205,7 +208,7 @@ Result<void> inspectTile(const World& world, uint32_t level, const TileName& nam
       nodes.back()["lamps"] = lampsJson(world, lampsOf(*strip, i));
     }
     for (size_t b = 0; b < strip->blocks.size(); ++b)
-      blocks.push_back({{"chunk", read->chunks[b]->cell}, {"tile", strip->blocks[b].partner_tile - read->chunks[b]->firstTile() + read->chunks[b]->first_number}, {"entries", strip->blocks[b].entries}});
+      blocks.push_back({{"chunk", read->partners[b].name().chunk}, {"tile", read->partners[b].name().tile}, {"entries", strip->blocks[b].entries}});
     fmt::print(out.to, "{}\n",
                json{{"level", level},
                     {"chunk", name.chunk},
