@@ -34,8 +34,8 @@ float filtered(sampler2D map, vec3 at) {
 }
 
 // Near to what shades it a point passes for lit, by the maps' bias: a corner of a dark room would shine. So a patch of which the sun
-// sees next to nothing has none.
-const float kLeastLit = 1.0 / 512.0;
+// sees next to nothing has none: of one as large as a cell, more than rounding adds at the edge of what shades it, a texel or two of 1024.
+const float kLeastLit = 1.0 / 128.0;
 
 float sunlight(vec3 n) {
   const float cosine = dot(n, frame.sun_direction.xyz);

@@ -96,6 +96,18 @@ struct PolygonPart {
   uint32_t cut = 0;  // number of the first of its two parts; 0: a leaf
 };
 
+// Whether a fence lies right across a polygon, but for eps at its ends: it parts even what is narrower than eps there.
+bool liesAcross(PolygonView polygon, Point normal, double eps, const Segment& fence) {
+  constexpr double kShortest = 1e-9;  // cells: nearer to a corner there is nothing to part
+  const double l = length(fence.b - fence.a);
+  if (!(l > kShortest)) return false;
+  const Point along = (fence.b - fence.a) * (1 / l);
+  Segment reached{fence.a - along * eps, fence.b + along * eps}, chord{fence.a - along, fence.b + along};
+  if (!clipInside(polygon, normal, 0, reached) || !clipInside(polygon, normal, 0, chord)) return false;
+  const double across = length(chord.b - chord.a);
+  return across > kShortest && length(reached.b - reached.a) > 0.999 * across;
+}
+
 void cutAlong(const Segment& fence, Point normal, double eps, std::vector<PolygonPart>& parts) {
   const Point along = fence.b - fence.a;
   const Point across = cross(normal, along) * (1 / length(along));
@@ -107,7 +119,8 @@ void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Polygo
   for (size_t i = 0; i < before && parts.size() + 2 <= 2 * kMaxParts; ++i) {
     if (parts[i].cut) continue;
     Segment inside = fence;
-    if (!clipInside(parts[i].polygon, normal, eps, inside) || length(inside.b - inside.a) <= eps) continue;
+    const bool reaches_in = clipInside(parts[i].polygon, normal, eps, inside) && length(inside.b - inside.a) > eps;
+    if (!reaches_in && !liesAcross(parts[i].polygon, normal, eps, fence)) continue;
     split(parts[i].polygon, side, crossing, eps, below, above);
     if (below.size() < 3 || above.size() < 3) continue;
     parts[i].cut = static_cast<uint32_t>(parts.size());
@@ -168,7 +181,8 @@ Fences::Found Fences::find(const Piece& piece) const {
         // What leans away from it does not stand on it: the other side of a fold.
         if (!clipInside(piece.polygon, normal, -eps, fence.above)) continue;
         found.fenced[side] = true;
-        if (clipInside(piece.polygon, normal, 0, fence.foot) && length(fence.foot.b - fence.foot.a) > eps)
+        const bool across = liesAcross(piece.polygon, normal, eps, fence.foot);
+        if (clipInside(piece.polygon, normal, 0, fence.foot) && (across || length(fence.foot.b - fence.foot.a) > eps))
           found.fences.push_back(fence.foot);
         continue;
       }

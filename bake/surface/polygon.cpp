@@ -94,6 +94,7 @@ void shareBorder(PolygonView p, size_t side_p, PolygonView q, double tolerance, 
     const double from = dot(c - a, along), to = dot(d - a, along);
     const double first = std::max(0.0, std::min(from, to)), last = std::min(l, std::max(from, to));
     if (!(last - first > std::min(tolerance, 0.5 * std::min(l, std::abs(to - from))))) continue;
+    if (std::abs(to - from) < 0.5 * length(d - c)) continue;  // one that is shorter than the tolerance is near to what it ends on
     const Segment line{a + along * first, a + along * last};
     // The other's line is straight too: near at both ends, near all along.
     const auto near = [&](Point at, double x) {

@@ -49,7 +49,7 @@ double distance(Point p, const Segment& s);
 double distance(const Segment& s, const Segment& t);  // of segments in one plane: 0 where they cross
 
 // Where a side of one polygon and a side of another lie within `tolerance` of each other, over more than `tolerance` or half the
-// shorter one.
+// shorter one, and run the same way within 60 degrees.
 struct SharedBorder {
   size_t side_p, side_q;  // from corner side_p to the next one
   Segment line;

@@ -1,6 +1,7 @@
 // A patch does not straddle what parts it: windowless rooms on open ground stay dark inside under the sky.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <functional>
 #include <random>
 
@@ -164,6 +165,29 @@ TEST(Partitions, AWallPartsAFloorOnlyIfItReachesAcross) {
     ASSERT_LT(std::max(one, other), set->patches.size());
     EXPECT_EQ(one == other, end < 1) << end;
     EXPECT_NEAR(set->patches[one].area_m2, end < 1 ? 1 : 0.5, 1e-6) << end;
+  }
+}
+
+// Two boards and a seam of two triangles between them, narrower than a hair, under a wall across all three: a moulding that goes on through a wall.
+TEST(Partitions, AWallPartsASeamNarrowerThanAHair) {
+  constexpr float kWall = 0.3f;
+  for (const float seam : {4e-4f, 1e-4f, 2e-5f}) {
+    Scene s;
+    const uint32_t m = addMaterial(s, {.5f, .5f, .5f}), wall = addMaterial(s, {.5f, .5f, .5f});
+    s.materials[wall].double_sided = true;
+    const float lines[] = {0, .5f, .5f + seam, 1};
+    for (size_t k = 0; k < 3; ++k) addQuad(s, {0, .5f, lines[k]}, {0, .5f, lines[k + 1]}, {1, .5f, lines[k + 1]}, {1, .5f, lines[k]}, m);
+    addQuad(s, {kWall, .5f, 0}, {kWall, .5f, 1}, {kWall, .9f, 1}, {kWall, .9f, 0}, wall);
+    const auto caster = RayCaster::create(s);
+    const auto set = makePatches(s, {.cell_m = 1}, &*caster);
+    ASSERT_TRUE(caster && set);
+    std::vector<float> floor;
+    for (const Patch& p : set->patches)
+      if (p.orientation == 2) floor.push_back(p.area_m2);
+    std::sort(floor.begin(), floor.end());
+    ASSERT_EQ(floor.size(), 2u) << seam;
+    EXPECT_NEAR(floor[0], kWall, 1e-3f) << seam;
+    EXPECT_NEAR(floor[1], 1 - kWall, 1e-3f) << seam;
   }
 }
 

@@ -111,6 +111,21 @@ class Pictures : public Drawing {
   }
 };
 
+// Under a roof with a hole over the middle of a patch: what rounding at an edge may let through is no sunlight, an eighth of a metre is.
+TEST_F(Pictures, LeaveOutSunlightOfAFewTexelsOfAPatch) {
+  for (const float half_m : {1.1f / 32, 4.0f / 32}) {
+    ViewScene scene;
+    addSheet(scene, {0, 0, 0}, {0, 0, 8}, {8, 0, 0}, 8, 8);
+    const float lo = 4.5f - half_m, hi = 4.5f + half_m;
+    addSheet(scene, {0, 3, 0}, {0, 0, 8}, {lo, 0, 0}, 1, 1);
+    addSheet(scene, {hi, 3, 0}, {0, 0, 8}, {8 - hi, 0, 0}, 1, 1);
+    addSheet(scene, {lo, 3, 0}, {0, 0, lo}, {hi - lo, 0, 0}, 1, 1);
+    addSheet(scene, {lo, 3, hi}, {0, 0, 8 - hi}, {hi - lo, 0, 0}, 1, 1);
+    const Drawn d = draw(scene, {{4.5f, 1, 5.5f}, {4.5f, 0, 4.5f}, 0.1f}, {{0, 1, 0}, {8, 8, 8}}, {}, std::vector<shaders::vec4>(scene.patches.size()));
+    EXPECT_EQ(d.direct(80, 60).x > 0, half_m > 0.1f) << half_m;
+  }
+}
+
 TEST_F(Pictures, ShowEmissionAndAlbedoTimesIrradiance) {
   ViewScene scene;
   addSheet(scene, {-20, 0, -20}, {0, 0, 40}, {40, 0, 0}, 40, 40, {0.5f, 0.25f, 0.125f}, {3, 2, 1});
