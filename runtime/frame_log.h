@@ -35,7 +35,7 @@ class FrameLog {
     double began_us;  // since the start
     float stream_ms, matrix_ms, solve_ms;
     uint32_t wanted, late, pending, ahead, cut_changed;
-    uint64_t resident_bytes, bytes_read, strips_failed;
+    uint64_t resident_bytes, bytes_read, strips_read, reads, strips_failed;
     std::array<double, 3> origin;
     size_t observers;
   };

@@ -1,4 +1,4 @@
-// One strip on its way from a shard through io_uring: where the rest of it lies, and what became of it. Not thread-safe; one
+// A read on its way from a shard through io_uring: where the rest of it lies, and what became of it. Not thread-safe; one
 // owner at a time.
 #pragma once
 #include <fcntl.h>

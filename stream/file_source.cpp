@@ -13,10 +13,12 @@ namespace ff::stream {
 namespace {
 
 constexpr int kThreads = 4, kRemoteThreads = 16;
+// Over a network a read costs a round trip, and the cache brings whole pieces of 64 KiB anyway.
+constexpr SharedReads kRemoteReads{.gap_bytes = 32 << 10, .max_bytes = 128 << 10, .strips_per_read = 4};
 
 class ThreadSource final : public TileSource {
  public:
-  ThreadSource(const formats::World& world, int threads) : world_(world), random_(world) {
+  ThreadSource(const formats::World& world, int threads, SharedReads shared) : world_(world), shared_(shared), random_(world) {
     startThreads(threads_, std::max(threads, 1), [this] { work(); });
   }
 
@@ -37,6 +39,7 @@ class ThreadSource final : public TileSource {
     wake_.notify_one();
   }
 
+  SharedReads sharedReads() const override { return shared_; }
   const char* name() const override { return "threads"; }
 
  private:
@@ -71,6 +74,7 @@ class ThreadSource final : public TileSource {
   }
 
   const formats::World& world_;
+  const SharedReads shared_;
   RandomReads random_;
   std::mutex mutex_;
   std::condition_variable wake_;
@@ -81,15 +85,16 @@ class ThreadSource final : public TileSource {
 
 }  // namespace
 
-std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int threads) {
-  return std::make_unique<ThreadSource>(world, threads);
+std::unique_ptr<TileSource> makeThreadSource(const formats::World& world, int threads, SharedReads shared) {
+  return std::make_unique<ThreadSource>(world, threads, shared);
 }
 
 std::unique_ptr<TileSource> makeFileSource(const formats::World& world) {
   if (auto uring = makeUringSource(world)) return std::move(*uring);
   // What has no descriptors may lie behind a network: a thread for each read that waits for it.
   const auto descriptor = world.descriptor(0);
-  return makeThreadSource(world, descriptor && *descriptor < 0 ? kRemoteThreads : kThreads);
+  const bool remote = descriptor && *descriptor < 0;
+  return makeThreadSource(world, remote ? kRemoteThreads : kThreads, remote ? kRemoteReads : kLocalReads);
 }
 
 }  // namespace ff::stream

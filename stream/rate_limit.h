@@ -17,6 +17,7 @@ class RateLimit {
 
   // 0: no limit.
   explicit RateLimit(uint64_t bytes_per_second) : bytes_per_second_(bytes_per_second) {}
+  bool limits() const { return bytes_per_second_ > 0; }
   bool lets(Clock::time_point now) const { return bytes_per_second_ == 0 || now >= next_; }
   void begin(uint64_t bytes, Clock::time_point now) {
     if (bytes_per_second_ == 0) return;

@@ -67,6 +67,7 @@ class StreamerImpl final : public Streamer {
         auto strip = loadNow(world_, *source_, tile);
         if (!strip) return strip.error();
         cache_.insert(std::move(*strip), true, loader_.retired());
+        ++stats_.reads;
         ++stats_.strips_read;
         stats_.bytes_read += tile.info().strip.stored_bytes;
         previous_.push_back(tile.id());
@@ -121,6 +122,8 @@ class StreamerImpl final : public Streamer {
   StreamStats stats() const override {
     StreamStats stats = stats_;
     stats.evicted = cache_.evicted();
+    stats.reads += loader_.reads();
+    stats.gap_bytes = loader_.gapBytes();
     stats.cancelled = loader_.cancelled();
     stats.reads_held = loader_.readsHeld();
     stats.resident_bytes = cache_.bytes();

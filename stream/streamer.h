@@ -46,7 +46,9 @@ struct Lead {
 };
 
 struct StreamStats {
-  uint64_t strips_read = 0, bytes_read = 0, evicted = 0, cancelled = 0, failed = 0;
+  uint64_t reads = 0, strips_read = 0;     // strips that lie beside each other share a read
+  uint64_t bytes_read = 0, gap_bytes = 0;  // of strips; of what lies between them and was read, too
+  uint64_t evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
   uint64_t reads_held = 0;   // that began later than they could have, for read_bytes_per_second

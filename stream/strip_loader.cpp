@@ -21,6 +21,17 @@ constexpr const char* kOutOfMemory = "out of memory";  // short enough for a str
 constexpr std::chrono::milliseconds kHeldLook{2};      // whether the limit lets the next read begin
 constexpr size_t kMaxChunks = 1024;                    // asked for at once; more wait for the next time
 constexpr size_t kMaxArrivedChunks = 64;               // that wait to be taken
+constexpr size_t kStripsPerRead = 16;                  // at most
+constexpr size_t kNextOfQueue = 64;                    // of these the neighbours of the most urgent share its read
+
+// What holds both, where they may share a read.
+std::optional<formats::Extent> together(const formats::Extent& read, const formats::Extent& strip, const SharedReads& shared) {
+  if (strip.shard != read.shard) return std::nullopt;
+  const uint64_t from = std::min(read.offset, strip.offset), to = std::max(read.offset + read.stored_bytes, strip.offset + strip.stored_bytes);
+  const uint64_t max_bytes = uint64_t{read.stored_bytes} + strip.stored_bytes + shared.gap_bytes;
+  if (to - from > std::min<uint64_t>(max_bytes, shared.max_bytes)) return std::nullopt;
+  return formats::Extent{.shard = read.shard, .offset = from, .stored_bytes = static_cast<uint32_t>(to - from)};
+}
 
 }  // namespace
 
@@ -42,7 +53,9 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
                          size_t max_queued, size_t max_retired, RateLimit limit, Now now)
     : world_(world),
       source_(source),
+      shared_(source.sharedReads()),
       depth_(static_cast<size_t>(std::max(depth, 1))),
+      strips_at_once_(depth_ * std::max(shared_.strips_per_read, 1u)),
       limit_(limit),
       now_(std::move(now)) {
   // Lists change places when they are handed over, so each has room for the most that any of them can hold.
@@ -51,11 +64,12 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
     queue->chunks.reserve(kMaxChunks);
   }
   sorted_.reserve(max_queued);
-  const size_t max_arrived = 3 * depth_;  // 2 * depth_ that wait, and what was under way then
+  const size_t max_under_way = strips_at_once_ - 1 + kStripsPerRead;
+  const size_t max_arrived = 2 * depth_ + max_under_way;  // that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
   for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
   for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
-  under_way_.reserve(depth_);
+  under_way_.reserve(max_under_way);
   chunks_under_way_.reserve(static_cast<size_t>(std::max(decode_threads, 1)));
   since_taken_.reserve(4 * max_arrived);
   startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
@@ -181,11 +195,12 @@ void StripLoader::pickUp() {
   }
   freeRetired();
   if (!fresh) return;
-  std::erase_if(since_taken_, [this](const auto& arrival) { return !isAfter(arrival.first, incoming_.taken); });
   sorted_.clear();
   for (const TileRef& tile : incoming_.tiles) sorted_.push_back(tile.id());
   std::ranges::sort(sorted_);
-  cancelled_.fetch_add(static_cast<uint64_t>(std::ranges::count_if(queue_.tiles, [this](const TileRef& tile) { return !std::ranges::binary_search(sorted_, tile.id()); })));
+  const auto dropped = [this](const TileRef& tile) { return !std::ranges::binary_search(sorted_, tile.id()) && !isOnItsWay(tile.id()); };
+  cancelled_.fetch_add(static_cast<uint64_t>(std::ranges::count_if(queue_.tiles, dropped)));
+  std::erase_if(since_taken_, [this](const auto& arrival) { return !isAfter(arrival.first, incoming_.taken); });
   std::swap(queue_, incoming_);
   incoming_.clear();
   progress();
@@ -202,40 +217,88 @@ void StripLoader::freeRetired() {
 }
 
 void StripLoader::startReads() {
-  while (const std::optional<TileRef> tile = nextRead()) try {
-      source_.read(tile->id(), tile->info().strip, {.cancelled = &cancel_reads_},
-                   [this](TileId done, Result<std::vector<std::byte>> bytes) { onRead(done, std::move(bytes)); });
+  while (const std::optional<Read> read = nextRead()) try {
+      source_.read(read->id, read->extent, {.cancelled = &cancel_reads_},
+                   [this, number = read->number](TileId, Result<std::vector<std::byte>> bytes) { onRead(number, std::move(bytes)); });
     } catch (const std::bad_alloc&) {
-      onRead(tile->id(), Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
+      onRead(read->number, Error{ErrorCode::kIo, "", "", kOutOfMemory, ""});
     }
 }
 
-std::optional<TileRef> StripLoader::nextRead() {
+std::optional<StripLoader::Read> StripLoader::nextRead() {
   const std::lock_guard lock(pipeline_mutex_);
-  std::optional<TileRef> found;
   const bool was_held = std::exchange(held_, false);
-  const auto now = now_();
-  while (!found && !stop_ && !queue_.tiles.empty() && under_way_.size() < depth_ && arrived_count_.load() < 2 * depth_) {
-    if (!limit_.lets(now)) {
-      held_ = true;
-      break;
-    }
-    TileRef tile = std::move(queue_.tiles.back());
-    queue_.tiles.pop_back();
-    const TileId id = tile.id();
-    // Whoever made the queue did not know of arrivals after the queue_.taken-th.
-    const bool arrived = std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; });
-    if (!arrived && std::ranges::find(under_way_, id, &UnderWay::id) == under_way_.end()) found = std::move(tile);
-  }
-  if (found) {
-    limit_.begin(found->info().strip.stored_bytes, now);
+  const Clock::time_point now = now_();
+  std::optional<Read> read;
+  if (!stop_ && reads_ < depth_) read = nextAlone();
+  if (!stop_ && reads_ < depth_ && !read) read = nextQueued(now);
+  if (read) {
     reads_held_.fetch_add(was_held);
-    under_way_.push_back({*found, std::chrono::steady_clock::now()});
-    under_way_count_.fetch_add(1);
+    reads_begun_.fetch_add(1);
     ++reads_;
   }
   countQueued();
-  return found;
+  return read;
+}
+
+// A strip whose shared read has failed. The limit has let it begin before.
+std::optional<StripLoader::Read> StripLoader::nextAlone() {
+  const auto at = std::ranges::find(under_way_, true, &UnderWay::alone);
+  if (at == under_way_.end()) return std::nullopt;
+  at->alone = false;
+  at->read = nextNumber();
+  return Read{at->read, at->id(), at->tile.info().strip};
+}
+
+std::optional<StripLoader::Read> StripLoader::nextQueued(Clock::time_point now) {
+  while (!queue_.tiles.empty() && under_way_.size() < strips_at_once_ && arrived_count_.load() < 2 * depth_) {
+    if (!limit_.lets(now)) {
+      held_ = true;
+      return std::nullopt;
+    }
+    TileRef tile = std::move(queue_.tiles.back());
+    queue_.tiles.pop_back();
+    if (isOnItsWay(tile.id())) continue;
+    Read read{nextNumber(), tile.id(), tile.info().strip};
+    limit_.begin(read.extent.stored_bytes, now);
+    begin(std::move(tile), read.number);
+    addNeighbours(read, now);
+    return read;
+  }
+  return std::nullopt;
+}
+
+// What lies beside the read, of what would be read soon anyway; each may have neighbours of its own. Where bytes are limited, nothing goes before what is more urgent.
+void StripLoader::addNeighbours(Read& read, Clock::time_point now) {
+  auto& tiles = queue_.tiles;
+  const size_t looked_at = limit_.limits() ? 1 : kNextOfQueue;
+  size_t strips = 1;
+  for (size_t back = 1; back <= std::min(looked_at, tiles.size()) && strips < kStripsPerRead && limit_.lets(now); ++back) {
+    const auto tile = tiles.end() - static_cast<std::ptrdiff_t>(back);
+    const std::optional<formats::Extent> both = together(read.extent, tile->info().strip, shared_);
+    if (!both || isOnItsWay(tile->id())) continue;
+    limit_.begin(both->stored_bytes - read.extent.stored_bytes, now);
+    read.extent = *both;
+    begin(std::move(*tile), read.number);
+    tiles.erase(tile);
+    ++strips;
+    back = 0;
+  }
+}
+
+// Whoever made the queue did not know of arrivals after the queue_.taken-th.
+bool StripLoader::isOnItsWay(TileId id) const {
+  return std::ranges::any_of(since_taken_, [id](const auto& arrival) { return arrival.second == id; }) || std::ranges::find(under_way_, id, &UnderWay::id) != under_way_.end();
+}
+
+void StripLoader::begin(TileRef tile, uint32_t read) {
+  under_way_.push_back({std::move(tile), Clock::now(), read});
+  under_way_count_.fetch_add(1);
+}
+
+uint32_t StripLoader::nextNumber() {
+  if (++last_read_ == 0) ++last_read_;
+  return last_read_;
 }
 
 void StripLoader::countQueued() {
@@ -284,20 +347,53 @@ std::optional<StripLoader::Stored> StripLoader::nextToDecode() {
   return stored;
 }
 
-void StripLoader::onRead(TileId id, Result<std::vector<std::byte>> bytes) {
+void StripLoader::onRead(uint32_t number, Result<std::vector<std::byte>> bytes) {
   const std::lock_guard lock(pipeline_mutex_);
-  if (!bytes) {
-    fail(id, bytes.error(), 0);
-  } else try {
-    to_decode_.push_back({std::ranges::find(under_way_, id, &UnderWay::id)->tile, std::move(*bytes)});
-  } catch (const std::bad_alloc&) {
-    fail(id, {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
-  }
+  const SharedRead shared = sharedRead(number);
+  if (shared.strips > 1 && (!bytes || bytes->size() != shared.to - shared.from))
+    readAlone(number);
+  else if (!bytes)
+    fail(std::ranges::find(under_way_, number, &UnderWay::read)->id(), bytes.error(), 0);
+  else
+    handOut(number, shared, std::move(*bytes));
   // A decoder starts the next read: this thread belongs to the source.
   wake();
   // Last, and under the lock: the destructor returns as soon as it sees no read.
   --reads_;
   reads_done_.notify_all();
+}
+
+StripLoader::SharedRead StripLoader::sharedRead(uint32_t number) const {
+  SharedRead shared;
+  for (const UnderWay& strip : under_way_) {
+    if (strip.read != number) continue;
+    const formats::Extent& extent = strip.tile.info().strip;
+    shared.from = std::min(shared.from, extent.offset);
+    shared.to = std::max(shared.to, extent.offset + extent.stored_bytes);
+    shared.strip_bytes += extent.stored_bytes;
+    ++shared.strips;
+  }
+  return shared;
+}
+
+// To the decoders, each strip's part. A strip that was alone gets what has come, whatever its size.
+void StripLoader::handOut(uint32_t number, const SharedRead& shared, std::vector<std::byte> bytes) {
+  gap_bytes_.fetch_add(shared.to - shared.from - shared.strip_bytes);
+  std::shared_ptr<const std::vector<std::byte>> read;
+  for (auto at = under_way_.begin(); (at = std::ranges::find(under_way_, number, &UnderWay::read)) != under_way_.end();) try {
+      if (!read) read = std::make_shared<const std::vector<std::byte>>(std::move(bytes));
+      const formats::Extent& extent = at->tile.info().strip;
+      to_decode_.push_back({at->tile, read, shared.strips == 1 ? std::span(*read) : std::span(*read).subspan(extent.offset - shared.from, extent.stored_bytes)});
+      at->read = 0;
+    } catch (const std::bad_alloc&) {
+      fail(at->id(), {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
+    }
+}
+
+// What fails of several may be the fault of one.
+void StripLoader::readAlone(uint32_t number) {
+  for (UnderWay& strip : under_way_)
+    if (strip.read == number) strip.read = 0, strip.alone = true;
 }
 
 void StripLoader::decode(const Stored& stored) {

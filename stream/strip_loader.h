@@ -1,4 +1,4 @@
-// The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, and decodes them on
+// The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, in one read those that lie beside each other, and decodes them on
 // its own threads, which also read the index of chunks that are asked for. The owner is one thread, which must not be held up: its calls allocate and free nothing, start no
 // reads, and share a lock with the loader's threads that only ever guards a swap of lists (and, on their side, the
 // addition of one arrival).
@@ -40,7 +40,7 @@ class StripLoader {
   struct Arrival {
     formats::TileId id;
     StripPtr strip;             // null: reading or decoding failed
-    uint64_t stored_bytes = 0;  // read, also of strips that failed to decode
+    uint64_t stored_bytes = 0;  // of the strip, read, also where it failed to decode
   };
   struct ChunkArrival {
     formats::TileId id;
@@ -52,7 +52,7 @@ class StripLoader {
   };
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
-  // depth: strips being read or decoded at any time; at most 2 * depth more wait to be taken.
+  // depth: reads at any time. None begins while as many strips (SharedReads::strips_per_read times as many) are being read or decoded, or 2 * depth wait to be taken.
   // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most. limit: when strips may be read, at the time `now`.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
               size_t max_retired, RateLimit limit = RateLimit(0), Now now = std::chrono::steady_clock::now);
@@ -80,6 +80,10 @@ class StripLoader {
   uint64_t cancelled() const { return cancelled_.load(); }
   // Reads that began later than they could have, since the limit did not let them.
   uint64_t readsHeld() const { return reads_held_.load(); }
+  // Reads that have begun: of one strip, or of several that lie beside each other.
+  uint64_t reads() const { return reads_begun_.load(); }
+  // What they have brought that lies between strips.
+  uint64_t gapBytes() const { return gap_bytes_.load(); }
   // From the start of a strip's read to its arrival, s: longestOfLate().
   float latencySeconds() const { return latency_seconds_.load(); }
   // The last strip that could not be read or decoded, as a line; empty: none yet. Allocates.
@@ -96,22 +100,45 @@ class StripLoader {
     uint32_t size() const { return static_cast<uint32_t>(tiles.size() + chunks.size()); }
     void clear() { tiles.clear(), chunks.clear(); }
   };
+  // A strip within what a read has brought.
   struct Stored {
     formats::TileRef tile;
-    std::vector<std::byte> bytes;
+    std::shared_ptr<const std::vector<std::byte>> read;
+    std::span<const std::byte> bytes;  // of it
+  };
+  // One that begins: of the tile, and of what lies beside it.
+  struct Read {
+    uint32_t number = 0;  // among under_way_; not 0
+    formats::TileId id;
+    formats::Extent extent;
+  };
+  // What the strips of a read come to, of those that are under way.
+  struct SharedRead {
+    uint64_t from = ~uint64_t{0}, to = 0, strip_bytes = 0;
+    size_t strips = 0;
   };
   void work();
   void pickUp();
   void freeRetired();  // with pipeline_mutex_ held
   void startReads();
-  std::optional<formats::TileRef> nextRead();
+  std::optional<Read> nextRead();
+  // With pipeline_mutex_ held; they need no memory.
+  std::optional<Read> nextAlone();
+  std::optional<Read> nextQueued(Clock::time_point now);
+  void addNeighbours(Read& read, Clock::time_point now);
+  bool isOnItsWay(formats::TileId id) const;
+  void begin(formats::TileRef tile, uint32_t read);
+  uint32_t nextNumber();
   std::optional<ChunkRequest> nextChunk();
   std::optional<Stored> nextToDecode();
-  void onRead(formats::TileId id, Result<std::vector<std::byte>> bytes);
+  void onRead(uint32_t number, Result<std::vector<std::byte>> bytes);
   void readChunk(const ChunkRequest& request);
   void decode(const Stored& stored);
-  // All with pipeline_mutex_ held; they need no memory.
+  // All with pipeline_mutex_ held; they need no memory, or do without.
   void countQueued();
+  SharedRead sharedRead(uint32_t number) const;
+  void handOut(uint32_t number, const SharedRead& shared, std::vector<std::byte> bytes);
+  void readAlone(uint32_t number);
   void arrive(formats::TileId id, StripPtr strip, uint64_t stored_bytes);
   void fail(formats::TileId id, const Error& error, uint64_t stored_bytes);
   void keepFailure(const Error& error);
@@ -120,7 +147,8 @@ class StripLoader {
 
   const formats::World& world_;
   TileSource& source_;
-  const size_t depth_;
+  const SharedReads shared_;
+  const size_t depth_, strips_at_once_;
 
   // The owner's.
   Queue next_;
@@ -145,9 +173,11 @@ class StripLoader {
   struct UnderWay {
     formats::TileRef tile;
     std::chrono::steady_clock::time_point since;
+    uint32_t read = 0;   // by which its bytes come; 0: they are here, or `alone`
+    bool alone = false;  // the read that it shared has failed, so that it is to have one of its own
     formats::TileId id() const { return tile.id(); }
   };
-  std::vector<UnderWay> under_way_;              // being read, waiting for a decoder or being decoded; depth_ at most
+  std::vector<UnderWay> under_way_;              // being read, waiting for a decoder or being decoded
   std::vector<formats::TileId> chunks_under_way_;
   std::vector<std::pair<uint32_t, formats::TileId>> since_taken_;  // arrivals after the queue_.taken-th, with their numbers from 1
   std::vector<formats::TileId> sorted_;          // of incoming_
@@ -158,13 +188,14 @@ class StripLoader {
   const Now now_;
   bool held_ = false;   // the limit does not let the next read begin: a thread looks again soon
   uint32_t reads_ = 0;  // callbacks still to come
+  uint32_t last_read_ = 0;
   bool stop_ = false;
   std::atomic<bool> cancel_reads_{false};
 
   // What is asked for is counted by the next of these before the one before forgets it, so that reading them in this order misses
   // none.
   std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0}, arrived_chunk_count_{0};
-  std::atomic<uint64_t> cancelled_{0}, reads_held_{0};
+  std::atomic<uint64_t> cancelled_{0}, reads_held_{0}, reads_begun_{0}, gap_bytes_{0};
   std::atomic<float> latency_seconds_{0};
   std::atomic<uint32_t> wake_{0}, progress_{0};  // change when there may be work, or something to see
   std::vector<std::thread> threads_;

@@ -63,6 +63,7 @@ class UringSource final : public TileSource {
     submitWaiting();
   }
 
+  SharedReads sharedReads() const override { return kLocalReads; }
   const char* name() const override { return "io_uring"; }
 
  private:

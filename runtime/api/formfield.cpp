@@ -211,7 +211,7 @@ namespace {
 
 // What is counted from the start on, and goes on over a re-bake.
 void addCounts(const stream::StreamStats& more, stream::StreamStats& sum) {
-  for (const auto count : {&stream::StreamStats::strips_read, &stream::StreamStats::bytes_read, &stream::StreamStats::evicted, &stream::StreamStats::cancelled,
+  for (const auto count : {&stream::StreamStats::reads, &stream::StreamStats::gap_bytes, &stream::StreamStats::strips_read, &stream::StreamStats::bytes_read, &stream::StreamStats::evicted, &stream::StreamStats::cancelled,
                            &stream::StreamStats::failed, &stream::StreamStats::reads_held})
     sum.*count += more.*count;
 }
@@ -673,6 +673,8 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.reads_held = s.reads_held;
     report.reloads = w.reloads;
     report.reload_failures = w.reloader ? w.reloader->failures() : 0;
+    report.reads = s.reads;
+    report.gap_bytes = s.gap_bytes;
     report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
     report.settled = w.settled.settled;
     report.settle_change = w.settled.change;

@@ -295,6 +295,7 @@ typedef struct FormfieldStats {
   uint32_t applied_tiles, waiting_tiles;       /* entered in the last frame; loaded, and kept back by max_applied_tiles */
   uint64_t reads_held;                         /* reads that began later than they could have, for read_bytes_per_second */
   uint32_t reloads, reload_failures;           /* re-bakes that were taken up; attempts that failed, each with another line */
+  uint64_t reads, gap_bytes;                   /* reads of strips: those that lie beside each other share one; bytes between strips that these brought */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);

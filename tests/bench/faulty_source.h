@@ -29,6 +29,7 @@ class FaultySource final : public stream::TileSource {
       done(of, std::move(bytes));
     });
   }
+  stream::SharedReads sharedReads() const override { return below_->sharedReads(); }
   const char* name() const override { return "faulty"; }
 
  private:

@@ -33,6 +33,7 @@ class LateSource final : public stream::TileSource {
       wake_.notify_one();
     });
   }
+  stream::SharedReads sharedReads() const override { return below_->sharedReads(); }
   const char* name() const override { return "late"; }
 
  private:

@@ -133,7 +133,7 @@ struct Flown {
   uint64_t frames = 0, frames_late = 0, late = 0, wanted = 0, frames_jump_near = 0, frames_jump_far = 0, changes = 0;
   SurfaceLight::Error near_error, far_error;
   uint32_t most_applied = 0;  // tiles that entered in a frame
-  uint64_t device_bytes = 0, read_bytes = 0, used_bytes = 0, strips = 0, cancelled = 0, failed = 0;
+  uint64_t device_bytes = 0, read_bytes = 0, gap_bytes = 0, used_bytes = 0, strips = 0, reads = 0, cancelled = 0, failed = 0;
   double seconds = 0;
   std::vector<double> whole_after_ms;  // of teleports: until nothing was late
 };
@@ -252,7 +252,9 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     flown.device_bytes += deviceBytes() - device_before;
     const stream::StreamStats after = streamer->stats();
     flown.read_bytes += after.bytes_read - before.bytes_read;
+    flown.gap_bytes += after.gap_bytes - before.gap_bytes;
     flown.strips += after.strips_read - before.strips_read;
+    flown.reads += after.reads - before.reads;
     flown.cancelled += after.cancelled - before.cancelled;
     flown.failed += after.failed - before.failed;
   }
@@ -283,7 +285,8 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
           "cpu");
   print("stream.read_amplification", ratio(flown.device_bytes, flown.used_bytes), "ratio", 2.5,
         note + "; bytes that the disk read over those of strips that became active, " + number(static_cast<double>(flown.used_bytes) / 1e6) + " MB; strips read over the same " +
-            number(ratio(flown.read_bytes, flown.used_bytes)) + "; " + number(static_cast<double>(flown.device_bytes) / 1e6 / flown.seconds) + " MB/s from the disk");
+            number(ratio(flown.read_bytes, flown.used_bytes)) + ", with what lies between them " + number(ratio(flown.read_bytes + flown.gap_bytes, flown.used_bytes)) + "; " + number(static_cast<double>(flown.device_bytes) / 1e6 / flown.seconds) + " MB/s from the disk");
+  print("stream.strips_a_read", ratio(flown.strips, flown.reads), "strips", std::nan(""), note + "; " + std::to_string(flown.strips) + " strips in " + std::to_string(flown.reads) + " reads, neighbours in one");
   const double worst = flown.near.empty() ? 0 : *std::ranges::max_element(flown.near);
   print("stream.pop_p99", quantile(flown.near, 0.99), "relative", 0.01,
         note + "; change from frame to frame of what fixed patches within 12 m reflect, over the mean within 30 m; worst " + number(worst) + ", above 2 % in " +

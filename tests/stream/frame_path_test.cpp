@@ -63,6 +63,7 @@ class FaultySource final : public TileSource {
       done(of, std::move(bytes));
     });
   }
+  SharedReads sharedReads() const override { return good_->sharedReads(); }
   const char* name() const override { return "faulty"; }
 
  private:
@@ -152,6 +153,7 @@ class StuckSource final : public TileSource {
     stuck_ = stuck;
     stuck_.notify_all();
   }
+  SharedReads sharedReads() const override { return good_->sharedReads(); }
   const char* name() const override { return "stuck"; }
 
  private:

@@ -6,6 +6,7 @@
 #include "formats/read/reader.h"
 #include "formats/storage/cached_storage.h"
 #include "formats/storage/http_storage.h"
+#include "stream/file_source.h"
 #include "stream/streamer.h"
 #include "tests/support/nginx.h"
 #include "tests/support/synthetic_world.h"
@@ -85,6 +86,28 @@ TEST_F(RemoteWorld, AFlightOverASlowLineEndsInTheStateOfOneFromTheDisk) {
   for (const auto& entry : std::filesystem::directory_iterator(folder_.path())) size_of_world += entry.file_size();
   EXPECT_LE(bytes, size_of_world);
   EXPECT_LE(bytes, 4 * far->stats().bytes_read) << "of strips";
+}
+
+TEST_F(RemoteWorld, NeighboursAreAskedForTogether) {
+  const auto nginx = formats::Nginx::start(folder_.path());
+  if (!nginx) GTEST_SKIP();
+  const auto world = open(nginx->address("w.ffm"), formats::httpStorage());
+  size_t served = nginx->served(1).size();
+  std::vector<size_t> requests;
+  std::vector<std::unique_ptr<Streamer>> streamers;
+  for (const bool shared : {true, false, true, false}) {  // the first two read the index, too
+    auto streamer = Streamer::create(*world, {.radius_m = 8, .hysteresis = 1}, shared ? makeFileSource(*world) : makeThreadSource(*world, 16, {}));
+    ASSERT_TRUE(streamer) << streamer.error().line();
+    settle(**streamer, at(kSteps - 1));
+    const StreamStats stats = (*streamer)->stats();
+    const size_t now = nginx->served(served + stats.reads).size();
+    requests.push_back(now - served);
+    served = now;
+    EXPECT_EQ(stats.reads < stats.strips_read, shared);
+    streamers.push_back(std::move(*streamer));
+  }
+  expectSame(*streamers[2], *streamers[3]);
+  EXPECT_LT(requests[2], requests[3]);
 }
 
 TEST_F(RemoteWorld, NoUpdateWaitsForAServerThatDoesNotAnswer) {

@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 
 #include <cmath>
+#include <filesystem>
 #include <future>
 #include <limits>
 #include <set>
@@ -43,6 +44,13 @@ class StreamerTest : public testing::Test {
   std::unique_ptr<MemorySource> memory(uint64_t seed = 1, FateOf fate = nullptr) const {
     return std::make_unique<MemorySource>(bytes_, seed, std::move(fate));
   }
+  // Where neighbours share reads.
+  std::unique_ptr<MemorySource> sharing(uint64_t seed = 1, FateOf fate = nullptr, SharedReads allowed = kShared) const {
+    MemorySource::Sharing sharing{allowed, {}};
+    for (const auto& [id, bytes] : bytes_) sharing.extents[id] = world_->tiles(id.level)[id.tile].strip;
+    return std::make_unique<MemorySource>(bytes_, seed, std::move(fate), std::move(sharing));
+  }
+  static constexpr SharedReads kShared{.gap_bytes = 2000, .max_bytes = 20000, .strips_per_read = 2};
   std::unique_ptr<Streamer> make(const StreamSettings& settings, std::unique_ptr<TileSource> source = nullptr) const {
     auto streamer = Streamer::create(*world_, settings, std::move(source));
     EXPECT_TRUE(streamer) << streamer.error().line();
@@ -346,6 +354,115 @@ TEST_F(StreamerTest, AStripThatFailsTwiceIsCountedAndWhatLiesBelowItStandsAlone)
     EXPECT_EQ(streamer->stats().failed, 1u);
     EXPECT_EQ(watched->attempts(bad), 2);
     EXPECT_EQ(streamer->stats().pending_tiles, 0u);
+  }
+}
+
+TEST_F(StreamerTest, NeighboursShareReadsAndBringTheSameStrips) {
+  std::mt19937_64 random(12);
+  StreamSettings settings = kNoHistory;
+  settings.kept_bytes = 0;
+  for (int i = 0; i < 10; ++i) {
+    const Vec3 at = randomPlace(random);
+    auto source = sharing();
+    MemorySource* const watched = source.get();
+    const auto alone = make(settings, memory()), together = make(settings, std::move(source));
+    ASSERT_EQ(settledAt(*alone, at), wantedByDefinition(at, 6, 1.6f));
+    ASSERT_EQ(settledAt(*together, at), ids(*alone));
+    for (size_t k = 0; k < alone->active().size(); ++k) {
+      ASSERT_EQ(together->active()[k]->words, alone->active()[k]->words);
+      ASSERT_EQ(together->active()[k]->row_start, alone->active()[k]->row_start);
+    }
+    const StreamStats by_one = alone->stats(), shared = together->stats();
+    EXPECT_EQ(by_one.reads, by_one.strips_read);
+    EXPECT_EQ(by_one.gap_bytes, 0u);
+    EXPECT_EQ(shared.strips_read, by_one.strips_read);
+    EXPECT_EQ(shared.bytes_read, by_one.bytes_read);
+    EXPECT_LT(shared.reads, by_one.reads);
+    EXPECT_LE(watched->largestSharedRead(), kShared.max_bytes);
+  }
+}
+
+TEST_F(StreamerTest, WhatFailsOfASharedReadCostsNoNeighbour) {
+  const Vec3 at{30, 1, 30};
+  const auto wanted = wantedByDefinition(at, 6, 1.6f);
+  for (const Fate fate : {Fate::kReadError, Fate::kFlippedByte, Fate::kTruncated, Fate::kEmpty}) {
+    for (size_t k = 0; k < wanted.size(); k += 3) {
+      const TileId bad = wanted[k];
+      if (bad.level == top()) continue;
+      auto source = sharing(1, [=](TileId id, int) { return id == bad ? fate : Fate::kGood; });
+      MemorySource* const watched = source.get();
+      const auto streamer = make(kNoHistory, std::move(source));
+      std::vector<TileId> expected = wanted;
+      std::erase(expected, bad);
+      ASSERT_EQ(settledAt(*streamer, at), expected);
+      ASSERT_EQ(streamer->stats().failed, 1u);
+      ASSERT_GE(watched->attempts(bad), 2);
+      ASSERT_EQ(streamer->stats().pending_tiles, 0u);
+    }
+    // A fault that passes leaves no trace, whoever shares the read.
+    const auto streamer = make(kNoHistory, sharing(1, [fate](TileId, int attempt) { return attempt == 0 ? fate : Fate::kGood; }));
+    EXPECT_EQ(settledAt(*streamer, at), wanted);
+    EXPECT_EQ(streamer->stats().failed, 0u);
+  }
+}
+
+// Teleports while shared reads are on their way, fail, and are made again strip by strip.
+TEST_F(StreamerTest, WhateverIsUnderWayWhenTheObserverJumpsTheEndIsTheSame) {
+  std::mt19937_64 random(21);
+  for (const bool background : {false, true}) {
+    StreamSettings settings = kNoHistory;
+    settings.background = background;
+    settings.queue_depth = 4;
+    settings.decode_threads = 2;
+    settings.retry_seconds = 0.01f;
+    auto source = sharing(5, [drawn = std::mt19937_64(3)](TileId id, int) mutable {
+      return id.level < 4 && drawn() % 6 == 0 ? static_cast<Fate>(1 + drawn() % 4) : Fate::kGood;
+    });
+    MemorySource* const watched = source.get();
+    const auto streamer = make(settings, std::move(source));
+    for (int round = 0; round < 20; ++round) {
+      for (int jump = 0; jump < 10; ++jump) {
+        watched->hold(random() % 3 == 0);
+        streamer->update(randomPlace(random), {});
+        std::this_thread::sleep_for(std::chrono::microseconds(random() % 500));
+      }
+      watched->hold(false);
+      const Vec3 at = randomPlace(random);
+      const auto wanted = wantedByDefinition(at, 6, 1.6f);
+      for (int tries = 0; tries < 1000 && settledAt(*streamer, at) != wanted; ++tries) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      ASSERT_EQ(ids(*streamer), wanted);
+      ASSERT_EQ(streamer->stats().pending_tiles, 0u);
+    }
+    EXPECT_GT(watched->sharedReadsSeen(), 0u);
+    EXPECT_LE(watched->maxWaiting(), 4u) << "reads at a time";
+    streamer->update(randomPlace(random), {});  // and destroyed on its way
+  }
+}
+
+// The strip at the end of a shard that was cut off is read together with its neighbours.
+TEST_F(StreamerTest, AShardThatEndsEarlyCostsOnlyTheStripsThatAreCutOff) {
+  const Vec3 at{30, 1, 30};
+  const auto wanted = wantedByDefinition(at, 6, 1.6f);
+  const auto stripOf = [&](TileId id) { return world_->tiles(id.level)[id.tile].strip; };
+  const TileId cut = *std::ranges::max_element(wanted, {}, [&](TileId id) { return id.level == 0 ? stripOf(id).offset : 0; });
+  const uint64_t end = stripOf(cut).offset + stripOf(cut).stored_bytes / 2;
+  const auto past = [&](TileId id) { return stripOf(id).shard == stripOf(cut).shard && stripOf(id).offset + stripOf(id).stored_bytes > end; };
+  std::vector<TileId> expected;
+  for (const TileId id : wanted)
+    if (!past(id)) expected.push_back(id);
+  ASSERT_LT(expected.size(), wanted.size());
+  auto uring = makeUringSource(*world_);
+  std::vector<std::unique_ptr<TileSource>> sources;
+  sources.push_back(makeThreadSource(*world_));
+  if (uring) sources.push_back(std::move(*uring));
+  std::vector<std::unique_ptr<Streamer>> streamers;
+  for (auto& source : sources) streamers.push_back(make(kNoHistory, std::move(source)));
+  std::filesystem::resize_file(folder_.file(world_->shards()[stripOf(cut).shard].name), end);
+  for (const auto& streamer : streamers) {
+    EXPECT_EQ(settledAt(*streamer, at), expected);
+    EXPECT_EQ(streamer->stats().failed, wanted.size() - expected.size());
+    EXPECT_LT(streamer->stats().reads, streamer->stats().strips_read + streamer->stats().failed);
+    EXPECT_NE(streamer->lastFailure().find("the file ends here"), std::string::npos) << streamer->lastFailure();
   }
 }
 

@@ -22,9 +22,15 @@ using FateOf = std::function<Fate(formats::TileId, int attempt)>;
 // Holds the stored bytes of a world; answers from its own thread, in an order drawn at random.
 class MemorySource final : public TileSource {
  public:
+  // Where strips lie, for those who let them share reads.
+  struct Sharing {
+    SharedReads allowed;
+    std::map<formats::TileId, formats::Extent> extents;
+  };
   // bytes: by tile. fate: null for always good; called on the thread of read().
-  MemorySource(std::map<formats::TileId, std::vector<std::byte>> bytes, uint64_t seed = 1, FateOf fate = nullptr)
-      : bytes_(std::move(bytes)), random_(seed), fate_(std::move(fate)), thread_([this] { work(); }) {}
+  // Where strips share a read, an error, a truncated and an empty answer of one is that of all.
+  MemorySource(std::map<formats::TileId, std::vector<std::byte>> bytes, uint64_t seed = 1, FateOf fate = nullptr, Sharing sharing = {})
+      : bytes_(std::move(bytes)), sharing_(std::move(sharing)), random_(seed), fate_(std::move(fate)), thread_([this] { work(); }) {}
 
   ~MemorySource() override {
     {
@@ -35,15 +41,21 @@ class MemorySource final : public TileSource {
     thread_.join();
   }
 
-  void read(formats::TileId id, const formats::Extent&, const formats::ReadOptions&, Done done) override {
+  void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions&, Done done) override {
     const std::lock_guard lock(mutex_);
-    const Fate fate = fate_ ? fate_(id, attempts_[id]) : Fate::kGood;
-    ++attempts_[id];
-    queue_.push_back({id, std::move(done), fate});
+    Item item{id, std::move(done), {}, Fate::kGood};
+    if (sharing_.extents.empty() || sharing_.extents.at(id) == extent) {
+      item.fate = fateOf(id);
+      item.bytes = spoilt(bytes_.at(id), item.fate);
+    } else {
+      share(extent, item);
+    }
+    queue_.push_back(std::move(item));
     max_waiting_ = std::max(max_waiting_, queue_.size());
     wake_.notify_one();
   }
 
+  SharedReads sharedReads() const override { return sharing_.allowed; }
   const char* name() const override { return "memory"; }
   // While held, nothing is answered. Release before destruction.
   void hold(bool held) {
@@ -55,6 +67,15 @@ class MemorySource final : public TileSource {
     const std::lock_guard lock(mutex_);
     return attempts_[id];
   }
+  // Of several strips.
+  uint64_t sharedReadsSeen() {
+    const std::lock_guard lock(mutex_);
+    return shared_;
+  }
+  uint32_t largestSharedRead() {
+    const std::lock_guard lock(mutex_);
+    return largest_;
+  }
   size_t maxWaiting() {
     const std::lock_guard lock(mutex_);
     return max_waiting_;
@@ -64,8 +85,32 @@ class MemorySource final : public TileSource {
   struct Item {
     formats::TileId id;
     Done done;
+    std::vector<std::byte> bytes;
     Fate fate = Fate::kGood;
   };
+
+  Fate fateOf(formats::TileId id) {
+    const int attempt = attempts_[id]++;
+    return fate_ ? fate_(id, attempt) : Fate::kGood;
+  }
+  static std::vector<std::byte> spoilt(std::vector<std::byte> bytes, Fate fate) {
+    if (fate == Fate::kFlippedByte) bytes[bytes.size() / 2] ^= std::byte{0x10};
+    if (fate == Fate::kTruncated) bytes.resize(bytes.size() / 2);
+    if (fate == Fate::kEmpty) bytes.clear();
+    return bytes;
+  }
+  void share(const formats::Extent& extent, Item& item) {
+    ++shared_;
+    largest_ = std::max(largest_, extent.stored_bytes);
+    item.bytes.assign(extent.stored_bytes, std::byte{0xee});
+    for (const auto& [id, strip] : sharing_.extents) {
+      if (strip.shard != extent.shard || strip.offset < extent.offset || strip.offset + strip.stored_bytes > extent.offset + extent.stored_bytes) continue;
+      const Fate fate = fateOf(id);
+      std::ranges::copy(fate == Fate::kFlippedByte ? spoilt(bytes_.at(id), fate) : bytes_.at(id), item.bytes.begin() + static_cast<std::ptrdiff_t>(strip.offset - extent.offset));
+      if (fate != Fate::kGood && fate != Fate::kFlippedByte) item.fate = fate;
+    }
+    if (item.fate != Fate::kReadError) item.bytes = spoilt(std::move(item.bytes), item.fate);
+  }
 
   void work() {
     for (;;) {
@@ -78,28 +123,15 @@ class MemorySource final : public TileSource {
         item = std::move(queue_.back());
         queue_.pop_back();
       }
-      std::vector<std::byte> bytes = bytes_.at(item.id);
-      switch (item.fate) {
-        case Fate::kGood:
-          break;
-        case Fate::kReadError:
-          item.done(item.id, Error{ErrorCode::kIo, "memory", "", "made to fail", ""});
-          continue;
-        case Fate::kFlippedByte:
-          bytes[bytes.size() / 2] ^= std::byte{0x10};
-          break;
-        case Fate::kTruncated:
-          bytes.resize(bytes.size() / 2);
-          break;
-        case Fate::kEmpty:
-          bytes.clear();
-          break;
-      }
-      item.done(item.id, std::move(bytes));
+      if (item.fate == Fate::kReadError)
+        item.done(item.id, Error{ErrorCode::kIo, "memory", "", "made to fail", ""});
+      else
+        item.done(item.id, std::move(item.bytes));
     }
   }
 
   const std::map<formats::TileId, std::vector<std::byte>> bytes_;
+  const Sharing sharing_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::deque<Item> queue_;
@@ -107,6 +139,8 @@ class MemorySource final : public TileSource {
   std::mt19937_64 random_;
   FateOf fate_;
   size_t max_waiting_ = 0;
+  uint64_t shared_ = 0;
+  uint32_t largest_ = 0;
   bool stop_ = false, held_ = false;
   std::thread thread_;
 };

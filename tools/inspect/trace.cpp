@@ -141,7 +141,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   if (out.json) {
     nlohmann::json j{{"frames", path->size()}, {"seconds", path->back().seconds}, {"observers", observers}, {"length_m", lengthOf(*path)}, {"replayed", now.toJson()}, {"worst", worst}};
     j["recorded"] = known ? then.toJson() : nlohmann::json();
-    j["replayed"].update({{"strips_read", after.strips_read - before.strips_read}, {"bytes_read", after.bytes_read - before.bytes_read},
+    j["replayed"].update({{"reads", after.reads - before.reads}, {"strips_read", after.strips_read - before.strips_read}, {"bytes_read", after.bytes_read - before.bytes_read},
                           {"reads_cancelled", after.reads_cancelled - before.reads_cancelled}, {"strips_failed", after.strips_failed - before.strips_failed},
                           {"peak_resident_bytes", after.peak_resident_bytes}, {"fallbacks", after.fallbacks}});
     fmt::print(out.to, "{}\n", j.dump(2));
@@ -156,7 +156,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   line("  99 of 100", ms(0.99));
   line("  the longest", ms(1));
   line("frames with late tiles", [](const Run& run) { return fmt::format("{}", run.framesLate()); });
-  fmt::print(out.to, "{:<38} {:.1f} MB in {} strips, {} cancelled, {} failed\n", "read", read_mb, after.strips_read - before.strips_read, after.reads_cancelled - before.reads_cancelled,
+  fmt::print(out.to, "{:<38} {:.1f} MB in {} strips by {} reads, {} cancelled, {} failed\n", "read", read_mb, after.strips_read - before.strips_read, after.reads - before.reads, after.reads_cancelled - before.reads_cancelled,
              after.strips_failed - before.strips_failed);
   fmt::print(out.to, "{:<38} {:.1f} MB\n", "memory of strips, at most", static_cast<double>(after.peak_resident_bytes) * 1e-6);
   fmt::print(out.to, "worst frames\n");

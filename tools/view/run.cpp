@@ -133,7 +133,7 @@ std::string whyNotCompared(const Flight& f, const Comparison& comparison) {
 Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& updater, int frame, double t) {
   const View view = f.camera.at(t);
   const Vec3 velocity = f.camera.velocityAt(t);
-  const uint64_t bytes_before = streamer.stats().bytes_read;
+  const stream::StreamStats before = streamer.stats();
   // A picture waits for its strips; a game would draw coarser light until they are there.
   streamer.update(view.eye, velocity);
   if (auto r = streamer.settle(); !r) return r.error();
@@ -180,7 +180,9 @@ Result<json> flyFrame(Flight& f, stream::Streamer& streamer, runtime::Updater& u
             {"settled", settled->settled},
             {"settle_change", settled->change},
             {"draw_ms", draw_ms},
-            {"bytes_read", s.bytes_read - bytes_before},
+            {"bytes_read", s.bytes_read - before.bytes_read},
+            {"strips_read", s.strips_read - before.strips_read},
+            {"reads", s.reads - before.reads},
             {"resident_bytes", s.resident_bytes},
             {"strips_failed", s.failed},
             {"exposure_stops", f.stops},
