@@ -70,6 +70,8 @@ Result<void> checkOutputs(std::span<const std::string> inputs, const std::string
   const auto refused = [](const std::string& file, const char* message) {
     return Error{ErrorCode::kUsage, file, "", message, "name another output"};
   };
+  if (const auto storage = formats::storageFor(out); storage != formats::posixStorage())  // an address: only read
+    if (auto ok = storage->checkWritable(out); !ok) return ok;
   for (const std::string& scene : inputs) {
     if (same(scene, out)) return refused(out, "the output would take the place of the scene");
     if (same(scene, vdb)) return refused(vdb, "the grids would take the place of the scene");

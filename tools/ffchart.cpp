@@ -111,10 +111,11 @@ Result<std::vector<chart::Answered>> answer(chart::Report& r, const Options& o) 
   r.lead.back() = '.';
   if (!o.keep_settings && cheapest.answer.setting) {
     const std::string& world = r.settings[*cheapest.answer.setting].world;
-    auto written = chart::writeRecommendation(world, r, *cheapest.answer.setting);
+    const bool beside = formats::storageFor(world)->checkWritable(formats::folderOf(world)).has_value();
+    auto written = chart::writeRecommendation(beside ? world : (std::filesystem::path(o.out) / formats::fileNameOf(world)).string(), r, *cheapest.answer.setting);
     if (!written) return written.error();
     cheapest.written = *written;
-    tell(o, "auto takes it up from beside " + world);
+    tell(o, beside ? "auto takes it up from beside " + world : "auto takes it up once " + *written + " is copied beside " + world);
   }
   return std::vector{cheapest, best};
 }
@@ -236,7 +237,7 @@ int run(int argc, char** argv) {
   bool observers_given = false;
   app.add_option("scene", o.sweep.scene_path, "the scene, .glb or .gltf");
   app.add_option("-o,--out", o.out, "folder for the page, its charts and the worlds baked on the way")->required();
-  app.add_option("--world", o.sweep.world_path, "a world baked from the scene, taken as the default; else one is baked");
+  app.add_option("--world", o.sweep.world_path, "a world baked from the scene, or its address behind a web server, taken as the default; else one is baked");
   app.add_option("--patch-size", o.sweep.cell_m, "of the default bake, m; else from --patch-budget")->check(CLI::PositiveNumber);
   app.add_option("--patch-budget", o.sweep.patch_budget, "patches of the default bake")->capture_default_str();
   app.add_option("--leave-out", o.sweep.leave_out, "material whose triangles take no part, as in ffbake (repeatable)");
@@ -246,7 +247,7 @@ int run(int argc, char** argv) {
   app.add_option("--target-error", o.target_percent, "name the cheapest setting with at most this error, %")->capture_default_str();
   app.add_option("--budget-ms", o.budget_ms, "name the most accurate setting that relights in this time ...")->capture_default_str();
   app.add_option("--budget-mib", o.budget_mib, "... and this memory")->capture_default_str();
-  app.add_flag("--keep-settings", o.keep_settings, "do not write the answer beside the world");
+  app.add_flag("--keep-settings", o.keep_settings, "do not write the answer beside the world (into the folder of -o where nothing can be written beside it, as behind a web server)");
   app.add_flag("--quick", o.sweep.quick, "fewer settings and paths: under two minutes for 60,000 patches");
   app.add_flag("--stability", o.stability, "another page: where methods break (needs no scene)");
   app.add_flag("--paper", o.paper, "another page: the seed paper's figures 3 and 4, ours beside theirs (needs no scene)");
@@ -264,7 +265,9 @@ int run(int argc, char** argv) {
   o.command = "ffchart";
   for (int i = 1; i < argc; ++i) o.command += std::string(" ") + argv[i];
   o.sweep.folder = (std::filesystem::path(o.out) / "worlds").string();
-  if (auto ran = run(o); !ran) {
+  const auto ran = run(o);
+  if (const std::string warning = formats::storageFor(o.sweep.world_path)->warning(); !warning.empty()) say("ffchart: warning: " + warning);
+  if (!ran) {
     fmt::print(stderr, "ffchart: {}\n", ran.error().line());
     return static_cast<int>(ran.error().code);
   }

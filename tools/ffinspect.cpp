@@ -59,9 +59,7 @@ int run(int argc, char** argv) {
   const auto opening = [&]<class World, class Run>(Run run) {
     return [&a, run = std::move(run)]() -> Result<void> {
       const auto world = World::open(a.world);
-      const auto ok = world ? run(*world) : Result<void>(world.error());
-      if (const std::string warning = formats::storageFor(a.world)->warning(); !warning.empty()) std::fprintf(stderr, "ffinspect: %s\n", warning.c_str());
-      return ok;
+      return world ? run(*world) : Result<void>(world.error());
     };
   };
   const auto add = [&](const char* name, const char* help, Command run) {
@@ -123,7 +121,9 @@ int run(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? 0 : 1;
   }
-  if (const auto ok = command(); !ok) {
+  const auto ok = command();
+  if (const std::string warning = formats::storageFor(a.world)->warning(); !warning.empty()) std::fprintf(stderr, "ffinspect: %s\n", warning.c_str());
+  if (!ok) {
     std::fprintf(stderr, "ffinspect: %s\n", ok.error().line().c_str());
     return static_cast<int>(ok.error().code);
   }

@@ -6,7 +6,9 @@
 #include <array>
 #include <charconv>
 #include <cstdlib>
+#include <map>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "formats/storage/read_only_storage.h"
@@ -73,6 +75,7 @@ struct Transfer {
   uint64_t offset = 0;
   std::span<std::byte> out;           // shortened to what the file has
   const Version* expected = nullptr;  // null: whatever version there is
+  const Version* known = nullptr;     // not null: one with a tag; while it is that, nothing is sent
   Headers headers{};
   Version version{};
   bool judged = false;
@@ -100,6 +103,11 @@ struct Transfer {
             first != offset || last + 1 != std::min(end, version.bytes))
           return refuse("asked for bytes " + std::to_string(offset) + "-" + std::to_string(end - 1) + ", the server answers with \"" + headers.range + "\"", kOtherServer);
         break;
+      case 304:
+        if (!known) return refuse("the server answers 304 to what is no question", kOtherServer);
+        version = *known;
+        out = {};
+        return;
       case 416:  // there is nothing of that range: an empty file has none
         if (!take(range, "bytes */") || !take(range, version.bytes)) return refuse("the server refuses the range (416)", kOtherServer);
         break;
@@ -147,12 +155,18 @@ size_t onBody(char* data, size_t, size_t bytes, void* transfer) try {
 
 // One request at a time; the connection stays open for the next. Not thread-safe.
 class Connection {
+  struct Free {
+    void operator()(CURLM* multi) const { curl_multi_cleanup(multi); }
+    void operator()(curl_slist* list) const { curl_slist_free_all(list); }
+  };
+  using List = std::unique_ptr<curl_slist, Free>;
+  static constexpr const char* kAsItIs = "Accept-Encoding: identity";
+
  public:
   explicit Connection(const HttpSettings& settings) {
     static const CURLcode ready = curl_global_init(CURL_GLOBAL_DEFAULT);
     if (ready != CURLE_OK || !multi_ || !easy_) throw std::bad_alloc();
-    headers_.reset(curl_slist_append(nullptr, "Accept-Encoding: identity"));
-    set(CURLOPT_HTTPHEADER, headers_.get());
+    headers_.reset(curl_slist_append(nullptr, kAsItIs));
     set(CURLOPT_USERAGENT, "Formfield/" FF_VERSION);
     set(CURLOPT_NOSIGNAL, 1L);
     set(CURLOPT_ERRORBUFFER, error_.data());
@@ -181,6 +195,8 @@ class Connection {
 #endif
     set(CURLOPT_URL, address.c_str());
     set(CURLOPT_RANGE, range.c_str());
+    const List conditional(transfer.known ? curl_slist_append(curl_slist_append(nullptr, kAsItIs), ("If-None-Match: " + transfer.known->tag).c_str()) : nullptr);
+    set(CURLOPT_HTTPHEADER, conditional ? conditional.get() : headers_.get());
     set(CURLOPT_HEADERDATA, &transfer);
     set(CURLOPT_WRITEDATA, &transfer);
     error_[0] = '\0';
@@ -204,12 +220,8 @@ class Connection {
   void set(CURLoption option, Value value) {
     curl_easy_setopt(easy_.get(), option, value);
   }
-  struct Free {
-    void operator()(CURLM* multi) const { curl_multi_cleanup(multi); }
-    void operator()(curl_slist* list) const { curl_slist_free_all(list); }
-  };
   std::unique_ptr<CURLM, Free> multi_{curl_multi_init()};
-  std::unique_ptr<curl_slist, Free> headers_;
+  List headers_;
   struct FreeEasy {
     void operator()(CURL* easy) const { curl_easy_cleanup(easy); }
   };
@@ -338,18 +350,32 @@ class HttpStorage final : public ReadOnlyStorage {
   Result<std::string> version(const std::string& path, const ReadOptions& options) override {
     std::vector<std::byte> first(1);
     uint64_t status = 0;
-    const auto version = fetchFirst(path, first, options, status);
+    const std::optional<Version> known = lastVersion(path);
+    const auto version = fetchFirst(path, first, options, status, known ? &*known : nullptr);
     if (!version) return version.error();
+    keepVersion(path, *version);
     return std::to_string(version->bytes) + ' ' + version->tag + ' ' + version->modified;
   }
 
  private:
-  // The first bytes of a file, as many as `first` holds or the file has.
-  Result<Version> fetchFirst(const std::string& path, std::vector<std::byte>& first, const ReadOptions& options, uint64_t& status) try {
+  // Of those who ask for it again and again.
+  std::optional<Version> lastVersion(const std::string& path) const {
+    const std::lock_guard lock(mutex_);
+    const auto at = versions_.find(path);
+    return at != versions_.end() ? std::optional(at->second) : std::nullopt;
+  }
+  // A time alone is not enough to be asked for: a file of another size may have the same.
+  void keepVersion(const std::string& path, const Version& version) {
+    const std::lock_guard lock(mutex_);
+    versions_.erase(path);
+    if (!version.tag.empty()) versions_.emplace(path, version);
+  }
+  // The first bytes of a file, as many as `first` holds or the file has; none where it still is the version that is known.
+  Result<Version> fetchFirst(const std::string& path, std::vector<std::byte>& first, const ReadOptions& options, uint64_t& status, const Version* known = nullptr) try {
     const size_t host = path.find("//") + 2, at = path.find('@', host);
     if (at < path.find('/', host))
       return Error{ErrorCode::kIo, path.substr(0, host) + "..." + path.substr(at), "", "has a password in its address, where others would see it", "put it into ~/.netrc"};
-    Transfer transfer{0, first};
+    Transfer transfer{0, first, nullptr, known};
     auto fetched = client_->fetch(addressOf(path), transfer, options);
     status = transfer.headers.status;
     if (!fetched) return fetched.error();
@@ -368,6 +394,8 @@ class HttpStorage final : public ReadOnlyStorage {
   }
 
   const std::shared_ptr<Client> client_;
+  mutable std::mutex mutex_;
+  std::map<std::string, Version> versions_;  // by path
 };
 
 }  // namespace

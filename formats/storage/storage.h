@@ -82,7 +82,7 @@ class Storage {
   // (some that are on a network or in user space), does nothing and says false.
   virtual Result<bool> syncFolder(const std::string& folder) = 0;
   virtual Result<bool> exists(const std::string& path) = 0;
-  // Tells the file that is there from any other that takes its place, by one look at it (over a network: one request, for a byte). Opaque.
+  // Tells the file that is there from any other that takes its place, by one look at it (over a network: one request, for a byte or, where it is asked for again, for nothing if it is the same). Opaque.
   virtual Result<std::string> version(const std::string& path, const ReadOptions& options = {}) = 0;
   // Names of the files in a folder, ascending.
   virtual Result<std::vector<std::string>> list(const std::string& folder) = 0;

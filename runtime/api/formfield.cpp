@@ -733,4 +733,13 @@ const char* formfieldStreamFailure(FormfieldWorld world) {
   return world->stream_failure.c_str();
 }
 
+const char* formfieldStorageWarning(FormfieldWorld world) {
+  if (!world) return "";
+  (void)guarded(world->device.error, [&]() -> Result<void> {
+    world->storage_warning = formats::storageFor(world->path)->warning();
+    return {};
+  });
+  return world->storage_warning.c_str();
+}
+
 }  // extern "C"

@@ -313,6 +313,9 @@ const char* formfieldLightFault(FormfieldWorld world);
 /* The last strip that could not be read (or whether probes lacked memory for triangles), as a line; empty: none. Allocates; valid until the next
  * call. */
 const char* formfieldStreamFailure(FormfieldWorld world);
+/* What is wrong with where the world lies without being an error, as a line with its remedy: that what is read over http is not kept, since its folder cannot be
+ * used (FORMFIELD_CACHE). Empty: nothing. Allocates; valid until the next call. */
+const char* formfieldStorageWarning(FormfieldWorld world);
 
 #ifdef __cplusplus
 }

@@ -146,7 +146,7 @@ struct FormfieldWorld_T {
   std::vector<ff::runtime::ProbeTile> probe_tiles;
   std::vector<ff::runtime::Vec4> radiosity;
   std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
-  std::string stream_failure, reload_failure;
+  std::string stream_failure, reload_failure, storage_warning;
   std::optional<ff::runtime::Reloader> reloader;  // the first to go: its thread opens generations
 };
 

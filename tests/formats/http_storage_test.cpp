@@ -568,6 +568,36 @@ TEST_F(OverNginx, ARestartOfTheServerIsNotSeenAndANewBakeIsAnError) {
   EXPECT_NE(changed.error().line().find("has changed on the server"), std::string::npos) << changed.error().line();
 }
 
+TEST_F(OverNginx, WhetherAFileHasChangedIsAskedWithoutAByteOfIt) {
+  for (const char* server : {"", "etag off;"}) {
+    const auto nginx = Nginx::start(folder_.path(), server);
+    if (!nginx) GTEST_SKIP();
+    const auto storage = httpStorage();
+    const auto ask = [&] {
+      auto version = storage->version(nginx->address("my town.ffm"));
+      EXPECT_TRUE(version) << version.error().line();
+      return version ? *version : "";
+    };
+    const std::string first = ask();
+    EXPECT_EQ(ask(), first);
+    EXPECT_EQ(ask(), first);
+    static uint32_t tiles = 3;
+    ASSERT_TRUE(writeWorld(makeRandomWorld({.level0_tiles = ++tiles}), folder_.file("my town.ffm"), 20000));
+    const std::string second = ask();
+    EXPECT_NE(second, first);
+    EXPECT_EQ(ask(), second);
+    std::vector<int> statuses;
+    uint64_t bytes = 0;
+    for (const Nginx::Served& one : nginx->served(5)) {
+      statuses.push_back(one.status);
+      bytes += one.body_bytes;
+    }
+    const bool tagged = !*server;  // by the time alone a file of another size may be taken for the same
+    EXPECT_EQ(statuses, tagged ? (std::vector<int>{206, 304, 304, 206, 304}) : std::vector<int>(5, 206));
+    EXPECT_EQ(bytes, tagged ? 2u : 5u);
+  }
+}
+
 TEST_F(OverNginx, HttpsIsReadWhereTheAuthorityIsKnown) {
   const auto nginx = Nginx::start(folder_.path(), "", true);
   if (!nginx) GTEST_SKIP();

@@ -12,6 +12,9 @@ refused() {  # refused WORDS density...: one line that holds the words, and no w
 }
 patches() { python3 -c 'import json; print(json.load(open("out.txt"))["levels"][0]["nodes"])'; }
 expect 0 "$ffscene" two-rooms -o two.glb
+# Behind a web server nothing is written, nor into a folder of that name.
+expect 2 "$ffbake" two.glb -o http://127.0.0.1:9/w.ffm --patch-size 0.5
+grep -q '^ffbake: http://127.0.0.1:9/w.ffm: what lies behind a web server is only read; write to a folder' err.txt && [ ! -e http: ] || fail "no remedy: $(cat err.txt)"
 bake() { expect 0 "$ffbake" two.glb -o w.ffm --patch-size 0.5 --rays 64 --no-cache --quiet --json "$@"; }
 bake
 plain=$(patches)

@@ -78,6 +78,18 @@ read = lambda f: [{k: v for k, v in r.items() if k not in times} for r in csv.Di
 a, b = read("first.csv"), read("a/accuracy.csv")
 assert a == b, next((x, y) for x, y in zip(a, b) if x != y)
 PY
+# A world behind a web server: the answer goes where it can be written.
+python3 -u -m http.server 0 --bind 127.0.0.1 --directory a/worlds >server.txt 2>/dev/null &
+server=$!
+trap 'kill $server' EXIT
+for ((i = 0; i < 100; ++i)); do grep -q port server.txt && break; sleep 0.1; done
+address=http://127.0.0.1:$(sed -E 's/.*port ([0-9]+).*/\1/' server.txt)
+rm -f a/worlds/*.settings.json
+world=cell1_rays4096_quanta512.ffm
+FORMFIELD_CACHE=off expect 0 "$ffchart" town.glb -o remote --patch-size 1 --quick --observers 3 --target-error 50 --world "$address/$world"
+if ! [ -s remote/cell1_rays4096_quanta512.settings.json ]; then ls remote/worlds/*.settings.json >/dev/null || fail "the answer is nowhere: $(cat out.txt)"; fi
+FORMFIELD_CACHE=off expect 2 "$ffchart" town.glb -o x --world "$address/absent.ffm"
+[ "$(wc -l <err.txt)" -eq 1 ] || fail "not one line: $(cat err.txt)"
 expect 0 "$ffchart" --version
 expect 0 "$ffchart" --help
 expect 1 "$ffchart"
