@@ -51,12 +51,12 @@ class FramePath : public testing::Test {
   std::unique_ptr<formats::WholeWorld> world_;
 };
 
-// Passes reads on to the shards, but lets every fifth fail or arrive damaged.
+// Passes reads on to the shards, but lets every fifth fail or arrive damaged, and those of some patches' tiles always fail.
 class FaultySource final : public TileSource {
  public:
   explicit FaultySource(std::unique_ptr<TileSource> good) : good_(std::move(good)) {}
   void read(TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) override {
-    const uint32_t n = reads_++;
+    const uint32_t n = id.level == 0 && id.tile % 11 == 0 ? kFails : reads_++;
     good_->read(id, extent, options, [n, done = std::move(done)](TileId of, Result<std::vector<std::byte>> bytes) {
       if (n > 50 && n % 5 == 0) return done(of, Error{ErrorCode::kIo, "faulty", "", "made to fail at some length", ""});
       if (n > 50 && n % 5 == 1) (*bytes)[bytes->size() / 2] ^= std::byte{1};
@@ -67,6 +67,7 @@ class FaultySource final : public TileSource {
   const char* name() const override { return "faulty"; }
 
  private:
+  static constexpr uint32_t kFails = 1'000'000'000;
   std::unique_ptr<TileSource> good_;
   std::atomic<uint32_t> reads_{0};
 };
