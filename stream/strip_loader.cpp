@@ -230,8 +230,10 @@ std::optional<StripLoader::Read> StripLoader::nextRead() {
   const bool was_held = std::exchange(held_, false);
   const Clock::time_point now = now_();
   std::optional<Read> read;
-  if (!stop_ && reads_ < depth_) read = nextAlone();
-  if (!stop_ && reads_ < depth_ && !read) read = nextQueued(now);
+  if (!stop_ && reads_ < depth_) {
+    read = nextAlone();
+    if (!read) read = nextQueued(now);
+  }
   if (read) {
     reads_held_.fetch_add(was_held);
     reads_begun_.fetch_add(1);

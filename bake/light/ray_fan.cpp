@@ -10,7 +10,7 @@ namespace ff::bake {
 namespace {
 
 constexpr double kTelling = 32;  // rays of a half towards a patch that tell whether anything is in the way
-constexpr size_t kTriedAtOnce = 64;   // rays that are tried by one loop after the other
+constexpr size_t kTriedAtOnce = 64;  // rays that are tried by one loop after the other
 
 // Of rays whether they come through a sphere, and are among the first `few` of their half. The sphere's centre is seen from where origins are; most: its
 // radius squared.

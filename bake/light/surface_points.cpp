@@ -13,17 +13,15 @@
 namespace ff::bake {
 namespace {
 
-constexpr size_t kPointsAtOnce = 256;  // points
+constexpr size_t kPointsAtOnce = 256;
 
-// What cosineDirection() takes of the axes of a frame.
-struct AlongAxes {
+struct AllAlongAxes {
   [[gnu::always_inline]] static void run(const float* u, const float* v, float* tangent, float* bitangent, float* normal, size_t points) {
     for (size_t i = 0; i < points; ++i) {
-      const float r = std::sqrt(u[i]);
-      const auto [sine, cosine] = sineCosineOfTurn(static_cast<double>(v[i]));
-      tangent[i] = r * static_cast<float>(cosine);
-      bitangent[i] = r * static_cast<float>(sine);
-      normal[i] = std::sqrt(1 - u[i]);
+      const AlongAxes along = cosineAlongAxes(u[i], v[i]);
+      tangent[i] = along.tangent;
+      bitangent[i] = along.bitangent;
+      normal[i] = along.normal;
     }
   }
 };
@@ -79,10 +77,10 @@ void cosineRays(std::span<const SurfacePoint> points, std::span<Ray> rays) {
   for (size_t first = 0; first < points.size(); first += kPointsAtOnce) {
     const auto some = points.subspan(first, std::min(kPointsAtOnce, points.size() - first));
     for (size_t k = 0; k < some.size(); ++k) u[k] = some[k].u, v[k] = some[k].v;
-    onWidest<AlongAxes>(u.data(), v.data(), tangent.data(), bitangent.data(), normal.data(), some.size());
+    onWidest<AllAlongAxes>(u.data(), v.data(), tangent.data(), bitangent.data(), normal.data(), some.size());
     for (size_t k = 0; k < some.size(); ++k) {
       if (std::memcmp(&some[k].normal, &frame.normal, sizeof(Vec3)) != 0) frame = frameOf(some[k].normal);  // bits: 0 and -0 have frames of their own
-      rays[first + k] = {some[k].position, frame.tangent * tangent[k] + frame.bitangent * bitangent[k] + frame.normal * normal[k]};
+      rays[first + k] = {some[k].position, directionIn(frame, {tangent[k], bitangent[k], normal[k]})};
     }
   }
 }

@@ -23,11 +23,20 @@ inline Vec3 pointInTriangle(Vec3 a, Vec3 b, Vec3 c, float u, float v) {
   return a * (1 - r) + b * (r * (1 - v)) + c * (r * v);
 }
 
-// u, v in [0, 1). Unit.
-inline Vec3 cosineDirection(const Frame& frame, float u, float v) {
+// What a cosine-distributed direction has of the axes of a frame; u, v in [0, 1). For loops of it, too.
+struct AlongAxes {
+  float tangent, bitangent, normal;
+};
+[[gnu::always_inline]] inline AlongAxes cosineAlongAxes(float u, float v) {
   const float r = std::sqrt(u);
-  const auto [sine, cosine] = sineCosineOfTurns(static_cast<double>(v));
-  return frame.tangent * (r * static_cast<float>(cosine)) + frame.bitangent * (r * static_cast<float>(sine)) + frame.normal * std::sqrt(1 - u);
+  const auto [sine, cosine] = sineCosineOfTurn(static_cast<double>(v));
+  return {r * static_cast<float>(cosine), r * static_cast<float>(sine), std::sqrt(1 - u)};
 }
+
+// Unit.
+inline Vec3 directionIn(const Frame& frame, const AlongAxes& along) {
+  return frame.tangent * along.tangent + frame.bitangent * along.bitangent + frame.normal * along.normal;
+}
+inline Vec3 cosineDirection(const Frame& frame, float u, float v) { return directionIn(frame, cosineAlongAxes(u, v)); }
 
 }  // namespace ff::bake

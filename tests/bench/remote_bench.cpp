@@ -6,8 +6,6 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <random>
 #include <set>
 
@@ -37,14 +35,6 @@ struct Teleports {
   std::vector<double> ready_ms;
   uint64_t requests = 0, index_requests = 0, line_bytes = 0, used_bytes = 0, strips = 0, reads = 0;
 };
-
-void serve(formats::WebServer& server, const std::string& world) {
-  for (const auto& entry : std::filesystem::directory_iterator(formats::folderOf(world))) {
-    if (!entry.is_regular_file()) continue;
-    std::ifstream in(entry.path(), std::ios::binary);
-    server.files["/" + entry.path().filename().string()] = std::string(std::istreambuf_iterator<char>(in), {});
-  }
-}
 
 Vec3 placeOf(const Options& options, const Box& bounds, int number) {
   std::mt19937 random(static_cast<uint32_t>(number));
@@ -114,7 +104,7 @@ int main(int argc, char** argv) {
   std::filesystem::create_directories(folder);
   if (options.world.empty()) options.world = bakeTown(folder, options.quick, options.patches, 512);
   formats::WebServer server;
-  serve(server, options.world);
+  server.addFolder(formats::folderOf(options.world));
   std::atomic<uint64_t> index_requests = 0;
   server.spoil = [&](const formats::WebServer::Request& request, formats::WebServer::Reply& reply) {
     index_requests += request.path.find(".index.") != std::string::npos;

@@ -614,7 +614,7 @@ TEST(RemoteWorld, BytesThatWereSpoiledOnTheWayAreNotKept) {
   const TemporaryFolder folder, cache;
   ASSERT_TRUE(writeWorld(makeRandomWorld({.level0_tiles = 3}), folder.file("w.ffm"), 1 << 20));
   WebServer server;
-  for (const auto& entry : std::filesystem::directory_iterator(folder.path())) server.files["/" + entry.path().filename().string()] = textOf(readFile(entry.path()));
+  server.addFolder(folder.path());
   const auto world = World::open(server.address("/w.ffm"), cachedStorage(httpStorage(), {.folder = cache.file("cache")}));
   ASSERT_TRUE(world) << world.error().line();
   std::atomic<int> spoiled = 0;

@@ -53,13 +53,6 @@ class RemoteWorld : public testing::Test {
     }
     EXPECT_EQ(a.active().front()->id.level, 0u);
   }
-  // Everything under `folder_`, as a server in this process has it.
-  void serve(formats::WebServer& server) const {
-    for (const auto& entry : std::filesystem::directory_iterator(folder_.path())) {
-      const auto bytes = formats::readFile(entry.path());
-      server.files["/" + entry.path().filename().string()] = {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
-    }
-  }
 
   formats::TemporaryFolder folder_, cache_;
 };
@@ -112,7 +105,7 @@ TEST_F(RemoteWorld, NeighboursAreAskedForTogether) {
 
 TEST_F(RemoteWorld, NoUpdateWaitsForAServerThatDoesNotAnswer) {
   formats::WebServer server;
-  serve(server);
+  server.addFolder(folder_.path());
   const auto far_world = open(server.address("/w.ffm"), formats::httpStorage()), near_world = open(local());
   const auto far = start(*far_world), near = start(*near_world);
   std::atomic<bool> answers = false;
@@ -127,7 +120,7 @@ TEST_F(RemoteWorld, NoUpdateWaitsForAServerThatDoesNotAnswer) {
 
 TEST_F(RemoteWorld, ClosingWaitsForNoServerThatDoesNotAnswer) {
   formats::WebServer server;
-  serve(server);
+  server.addFolder(folder_.path());
   auto world = open(server.address("/w.ffm"), formats::httpStorage());
   auto streamer = start(*world);
   std::atomic<uint64_t> asked = 0;
@@ -145,7 +138,7 @@ TEST_F(RemoteWorld, ClosingWaitsForNoServerThatDoesNotAnswer) {
 
 TEST_F(RemoteWorld, ManyReadsAreUnderWayOverALineThatTakesItsTime) {
   formats::WebServer server;
-  serve(server);
+  server.addFolder(folder_.path());
   const auto world = open(server.address("/w.ffm"), formats::httpStorage());
   const auto streamer = start(*world);
   settle(*streamer, at(0));
@@ -156,7 +149,7 @@ TEST_F(RemoteWorld, ManyReadsAreUnderWayOverALineThatTakesItsTime) {
 
 TEST_F(RemoteWorld, AnOutageOfTheServerIsRecoveredFrom) {
   formats::WebServer server;
-  serve(server);
+  server.addFolder(folder_.path());
   const auto far_world = open(server.address("/w.ffm"), formats::httpStorage()), near_world = open(local());
   auto far = Streamer::create(*far_world, {.radius_m = 8, .hysteresis = 1, .retry_seconds = 0.1f});
   ASSERT_TRUE(far) << far.error().line();

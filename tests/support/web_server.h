@@ -7,8 +7,13 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <functional>
+#include <iterator>
 #include <list>
 #include <map>
 #include <mutex>
@@ -73,6 +78,14 @@ class WebServer {
       ::close(session.socket);
     }
     ::close(listener_);
+  }
+  // The files of a folder, by their names.
+  void addFolder(const std::string& folder) {
+    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+      if (!entry.is_regular_file()) continue;
+      std::ifstream in(entry.path(), std::ios::binary);
+      files["/" + entry.path().filename().string()] = std::string(std::istreambuf_iterator<char>(in), {});
+    }
   }
   std::string address(const std::string& path) const { return "http://127.0.0.1:" + std::to_string(port_) + path; }
 

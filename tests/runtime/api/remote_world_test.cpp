@@ -20,10 +20,7 @@ TEST(FormfieldRemoteWorld, IsLitAsTheOneOnTheDiskBySettingsThatLieBesideIt) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
   const std::string path = test.world().path();
   formats::WebServer server;
-  for (const auto& entry : std::filesystem::directory_iterator(std::filesystem::path(path).parent_path())) {
-    const auto bytes = formats::readFile(entry.path());
-    server.files["/" + entry.path().filename().string()] = {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
-  }
+  server.addFolder(formats::folderOf(path));
   server.files["/world.settings.json"] = R"({"solver": "gather", "iterations": 2, "radius_m": 9})";
   ::setenv("FORMFIELD_CACHE", "off", 1);
   // Of the active nodes, ascending: which slot each has depends on the order in which tiles arrive.
@@ -136,10 +133,7 @@ TEST(FormfieldRemoteWorld, SaysThatWhatIsReadCannotBeKept) {
     const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
     const std::string path = test.world().path();
     formats::WebServer server;
-    for (const auto& entry : std::filesystem::directory_iterator(std::filesystem::path(path).parent_path())) {
-      const auto bytes = formats::readFile(entry.path());
-      server.files["/" + entry.path().filename().string()] = {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
-    }
+    server.addFolder(formats::folderOf(path));
     ::setenv("FORMFIELD_CACHE", "/dev/null", 1);
     FormfieldDevice device = nullptr;
     FormfieldWorld world = nullptr, near = nullptr;
