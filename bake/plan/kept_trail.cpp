@@ -50,7 +50,7 @@ void sortUnique(std::vector<uint64_t>& keys) {
 void putTrail(ByteWriter& out, const KeptTrail& trail, std::span<const uint64_t> met) {
   putDigest(out, trail.seen);
   putBox(out, trail.box);
-  out.u8(trail.left);
+  out.u8(trail.left.bits());
   putVarint(out, trail.passed.size());
   uint32_t last = 0;
   for (const CubesOfBlock& of : trail.passed) {
@@ -73,7 +73,8 @@ bool takeTrail(ByteReader& in, std::span<const uint64_t> met, KeptTrail& trail) 
   trail.box = takeBox(in);
   uint8_t left = 0;
   in.u8(left);
-  trail.left = left != 0;
+  if (left > Sides::kAll) return false;
+  trail.left = Sides(left);
   for (const int32_t x : trail.box.size) if (x < 1 || x % CubeBox::kBlock != 0) return false;
   uint64_t block = 0;
   for (uint64_t left_over = takeVarint(in); left_over > 0 && in.ok(); --left_over) {
@@ -127,12 +128,14 @@ std::vector<KeptTrail> takeTrails(ByteReader& in, size_t trails) {
   return taken;
 }
 
-// What stands outside of the box now was not there when they left it.
+// What stands outside of the box now was not there when they left it; they went on by the sides that they left it by.
 bool isAsItWas(const KeptTrail& trail, const Contents& contents) {
   const CubeBox& now = contents.box();
   if (trail.box.edge_m != now.edge_m) return false;
-  for (size_t a = 0; trail.left && a < 3; ++a)
-    if (now.lo[a] < trail.box.lo[a] || now.lo[a] + now.size[a] > trail.box.lo[a] + trail.box.size[a]) return false;
+  for (size_t a = 0; a < 3; ++a) {
+    if (trail.left.has(a, false) && now.lo[a] < trail.box.lo[a]) return false;
+    if (trail.left.has(a, true) && now.lo[a] + now.size[a] > trail.box.lo[a] + trail.box.size[a]) return false;
+  }
   return seenNow(contents, trail) == trail.seen;
 }
 

@@ -13,7 +13,7 @@ namespace ff::bake {
 
 struct KeptTrail {
   CubeBox box;                       // that of then, which may not be today's
-  bool left = false;                 // RayTrail::left()
+  Sides left;                        // RayTrail::left()
   std::vector<CubesOfBlock> passed;  // RayTrail::passed()
   std::vector<uint64_t> met;         // cubes of 2^kMetLog cells that patches lie in which were hit, by Hilbert key, ascending
   Digest seen{};                     // of all of it

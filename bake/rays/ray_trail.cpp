@@ -43,7 +43,7 @@ RayTrail::RayTrail(const CubeBox& box) : box_(box), wide_(box), per_m_(1 / stati
 void RayTrail::clear() {
   for (const uint32_t block : blocks_) passed_[block] = 0;
   blocks_.clear();
-  left_ = false;
+  left_ = {};
 }
 
 std::vector<CubesOfBlock> RayTrail::passed() const {
@@ -58,6 +58,7 @@ std::vector<CubesOfBlock> RayTrail::passed() const {
 void RayTrail::add(const Ray& ray, double to_m) {
   constexpr double kAlmostAlong = 1e-30;  // 1/m: a ray in a plane across an axis goes so slowly along it
   std::array<double, 3> from, along, width;  // where it starts, in cubes of the wide box; its way a metre; metres it takes for a cube, below 0 downwards
+  std::array<double, 3> until;               // it is past the box along an axis, m
   double enters = 0, leaves = to_m;
   for (int a = 0; a < 3; ++a) {
     const auto i = static_cast<size_t>(a);
@@ -67,9 +68,13 @@ void RayTrail::add(const Ray& ray, double to_m) {
     width[i] = 1 / along[i];
     const double lo = (CubeBox::kBlock - from[i]) * width[i], hi = (CubeBox::kBlock + box_.size[i] - from[i]) * width[i];
     enters = std::max(enters, std::min(lo, hi));
-    leaves = std::min(leaves, std::max(lo, hi));
+    until[i] = std::max(lo, hi);
+    leaves = std::min(leaves, until[i]);
   }
-  left_ |= enters > 0 || leaves < to_m;
+  if (enters > 0) left_ = Sides::all();
+  else if (leaves < to_m)
+    for (size_t i = 0; i < 3; ++i)
+      if (until[i] <= leaves + static_cast<double>(box_.edge_m)) left_.add(i, along[i] > 0);  // near an edge, where rounding may tell otherwise, by both
   if (!(enters <= leaves)) return;
   uint64_t* const passed = passed_.data();
   const auto pass = [&](uint32_t number) {

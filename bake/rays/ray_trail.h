@@ -30,6 +30,22 @@ struct CubesOfBlock {
   uint64_t cubes = 0;  // a bit each
 };
 
+// The sides of a box by which rays left it, a bit each: what a box that is larger on other sides alone holds beyond it, they cannot have met.
+class Sides {
+ public:
+  static constexpr uint8_t kAll = 63;
+  Sides() = default;
+  explicit Sides(uint8_t bits) : bits_(bits) {}
+  static Sides all() { return Sides(kAll); }
+  void add(size_t axis, bool upper) { bits_ |= static_cast<uint8_t>(1 << (2 * axis + upper)); }
+  bool has(size_t axis, bool upper) const { return bits_ >> (2 * axis + upper) & 1; }
+  bool none() const { return bits_ == 0; }
+  uint8_t bits() const { return bits_; }
+
+ private:
+  uint8_t bits_ = 0;
+};
+
 // Not thread-safe. Memory: a bit a cube of the box.
 class RayTrail {
  public:
@@ -41,8 +57,8 @@ class RayTrail {
   void clear();
   // The cubes passed through since, by block, ascending.
   std::vector<CubesOfBlock> passed() const;
-  // Whether a ray was outside the box.
-  bool left() const { return left_; }
+  // By which sides rays have left the box; all of them where one started outside.
+  Sides left() const { return left_; }
 
  private:
   CubeBox box_, wide_;                            // the box, and a block more on each side, for rays that rounding takes there
@@ -50,7 +66,7 @@ class RayTrail {
   std::array<std::vector<uint32_t>, 3> place_;    // what a coordinate in the wide box adds to the number of a cube
   std::vector<uint64_t> passed_;                  // by block of the wide box
   std::vector<uint32_t> blocks_;                  // those that are not 0
-  bool left_ = false;
+  Sides left_;
 };
 
 }  // namespace ff::bake

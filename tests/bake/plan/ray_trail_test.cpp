@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -65,13 +66,31 @@ TEST(RayTrail, HoldsTheCubesOnTheWayAndNoOthers) {
     const std::set<uint32_t> passed(cubes.begin(), cubes.end());
     EXPECT_EQ(passed.size(), cubes.size());
     EXPECT_TRUE(std::is_sorted(cubes.begin(), cubes.end()));
-    bool outside = false;
-    for (int a = 0; a < 3; ++a)
-      for (const double t : {0.0, std::min(to_m, 1e4)}) {
-        const double x = (static_cast<double>(ray.origin[a]) + t * static_cast<double>(ray.direction[a])) / static_cast<double>(box.edge_m) - box.lo[static_cast<size_t>(a)];
-        outside |= x < -1e-5 || x > box.size[static_cast<size_t>(a)] + 1e-5;
+    const auto cubesFrom = [&](double t, int a) {  // the lower side
+      return (static_cast<double>(ray.origin[a]) + t * static_cast<double>(ray.direction[a])) / static_cast<double>(box.edge_m) - box.lo[static_cast<size_t>(a)];
+    };
+    const auto isOutside = [&](double t, int a, bool upper) {
+      return upper ? cubesFrom(t, a) > box.size[static_cast<size_t>(a)] + 1e-5 : cubesFrom(t, a) < -1e-5;
+    };
+    // Everywhere on its way outside of the box, a ray is past a side that it left by, so that a box that is larger elsewhere alone is not on its way.
+    for (int step = 0; step <= 400; ++step) {
+      const double t = std::min(to_m, 40.0) * step / 400;
+      bool outside = false, told = false;
+      for (int a = 0; a < 3; ++a)
+        for (const bool upper : {false, true}) {
+          outside |= isOutside(t, a, upper);
+          told |= isOutside(t, a, upper) && trail.left().has(static_cast<size_t>(a), upper);
+        }
+      EXPECT_EQ(told, outside) << round << ", " << t << " m on";
+    }
+    bool from_inside = true;
+    for (int a = 0; a < 3; ++a) from_inside &= cubesFrom(0, a) > 0 && cubesFrom(0, a) < box.size[static_cast<size_t>(a)];
+    for (int a = 0; from_inside && a < 3; ++a)
+      for (const bool upper : {false, true}) {
+        if (ray.direction[a] == 0 || (ray.direction[a] > 0) != upper) {
+          EXPECT_FALSE(trail.left().has(static_cast<size_t>(a), upper)) << round;
+        }
       }
-    EXPECT_TRUE(trail.left() || !outside) << round;
     for (uint32_t number = 0; number < box.count(); ++number) {
       const CubeBox::Cube cube = box.cube(number);
       ASSERT_EQ(box.number(cube), number);
@@ -90,12 +109,13 @@ TEST(RayTrail, ForgetsWhatIsClearedAndGathersWhatIsNot) {
   trail.add(along_x, 1);
   trail.add(along_y, 1);
   EXPECT_EQ(cubesOf(trail), (std::vector<uint32_t>{0, 1, 4}));
-  EXPECT_FALSE(trail.left());
+  EXPECT_TRUE(trail.left().none());
   trail.clear();
   EXPECT_TRUE(cubesOf(trail).empty());
   trail.add(along_x, static_cast<double>(kInfinity));
   EXPECT_EQ(cubesOf(trail).size(), 4u);
-  EXPECT_TRUE(trail.left());
+  EXPECT_TRUE(trail.left().has(0, true));
+  EXPECT_EQ(std::popcount(trail.left().bits()), 1);
 }
 
 }  // namespace

@@ -171,6 +171,23 @@ TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
   EXPECT_GT(counts.stale, 0u);
 }
 
+TEST(RayUnits, KeepRaysThatLeftAWorldBySidesWhereItHasNotGrown) {
+  const formats::TemporaryFolder folder;
+  Scene shed = test::closedBox({.5f, .5f, .5f}, {});
+  shed.triangles.resize(shed.triangles.size() - 2);  // open towards z
+  const auto cache = cacheIn(folder.file("cache"));
+  const auto withBlockAt = [&](Vec3 at) {
+    Scene scene = shed;
+    test::addBlock(scene, at, at + Vec3{1, 1, 1}, 0);
+    return castBoth(scene, 0.25f, *cache, "a block far off").counts;
+  };
+  const CachedRays first = castBoth(shed, 0.25f, *cache, "a shed").counts;
+  EXPECT_EQ(first.missing, 80u);
+  EXPECT_EQ(withBlockAt({0, 0, -40}).clean, 80u);  // behind it
+  EXPECT_GE(withBlockAt({40, 0, 0}).clean, 20u);   // beside it: those deep inside
+  EXPECT_GE(withBlockAt({0, 0, 40}).stale, 60u);
+}
+
 TEST(RayUnits, NoticeWhatLampsAndVeilsAreMadeOf) {
   const formats::TemporaryFolder folder;
   Scene scene = test::closedBox({.5f, .5f, .5f}, {});
