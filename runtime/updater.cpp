@@ -370,6 +370,7 @@ bool Updater::isLight(uint32_t slot, const char* what, Vec3 value) {
 Result<void> Updater::relightAll() {
   const LocalMatrix& m = matrix();
   for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_, lamps_changed_);
+  fade_.relit();
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   emission_change_ += lamps_changed_;
   light_changed_ = lamps_changed_ = false;

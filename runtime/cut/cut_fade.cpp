@@ -12,23 +12,10 @@ using stream::StripPtr;
 constexpr size_t kMaxTiles = kMaxSlots / 16;
 constexpr float kStep = 0.03f;      // by what a node may change in a frame, over the mean of the finest level
 constexpr float kMaxFrames = 300;   // whatever there is to see
+constexpr uint32_t kMeanOf = 8;     // a node of so many tells the mean
 constexpr float kFar = 2;           // times as far away as when it began, a tile goes faster, by the square of the distance
 
 formats::TileId parentOf(const stream::ResidentStrip& strip) { return {strip.id.level + 1, strip.tile.info().parent_tile}; }
-
-// Over the tiles of the finest level, a node of eight.
-float meanOf(const LocalMatrix& matrix, std::span<const Vec4> source) {
-  double sum = 0;
-  uint64_t nodes = 0;
-  for (const SlotRange& range : matrix.tiles) {
-    if (range.id.level != matrix.tiles.front().id.level) break;
-    for (uint32_t i = 0; i < range.nodes; i += 8, ++nodes) {
-      const Vec4& m = source[range.first_slot + i];
-      sum += static_cast<double>(m.x + m.y + m.z) / 3;
-    }
-  }
-  return nodes > 0 ? static_cast<float>(sum / static_cast<double>(nodes)) : 0;
-}
 
 // The largest difference between a node and its parent, lit without a bounce.
 float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<const Vec4> source) {
@@ -63,8 +50,7 @@ CutFade::Tile* CutFade::find(formats::TileId id) {
 
 std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
   if (settings_.frames == 0) return active;
-  const bool same = std::ranges::equal(active, active_, {}, &StripPtr::get, &Known::strip);
-  if (same && std::ranges::none_of(tiles_, [](const Tile& tile) { return tile.leaving && tile.rests(); })) return cut_;
+  if (!std::exchange(one_has_gone_, false) && std::ranges::equal(active, active_, {}, &StripPtr::get, &Known::strip)) return cut_;
   followActive(active);
   listLeaving();
   keepTheMost();
@@ -182,21 +168,47 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
   }
 }
 
+// Of what tiles of the finest level reflect without a bounce.
+float CutFade::mean(const LocalMatrix& matrix, std::span<const Vec4> source) {
+  double sum = 0;
+  uint64_t nodes = 0;
+  for (size_t t = 0; t < tiles_.size() && tiles_[t].id.level == tiles_.front().id.level; ++t) {
+    const SlotRange& range = matrix.tiles[t];
+    float& light = tiles_[t].light;
+    if (light < 0) {
+      light = 0;
+      for (uint32_t i = 0; i < range.nodes; i += kMeanOf) {
+        const Vec4& m = source[range.first_slot + i];
+        light += (m.x + m.y + m.z) / 3;
+      }
+    }
+    sum += static_cast<double>(light);
+    nodes += (range.nodes + kMeanOf - 1) / kMeanOf;
+  }
+  return nodes > 0 ? static_cast<float>(sum / static_cast<double>(nodes)) : 0;
+}
+
+void CutFade::relit() {
+  for (Tile& tile : tiles_) tile.light = Tile::kUnknown;
+}
+
 void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers) {
-  float mean = -1;
+  float mean_now = -1;
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
     const float away_m = observers.distance(matrix.packed[t].strip->tile.info().bounds);
     if (tile.step == 0) {
-      if (mean < 0) mean = meanOf(matrix, source);
-      const float frames = mean > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean) : 0;
+      if (mean_now < 0) mean_now = mean(matrix, source);
+      const float frames = mean_now > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean_now) : 0;
       tile.step = 1 / std::max(static_cast<float>(settings_.frames), std::min(frames, kMaxFrames));
       tile.left_at_m = away_m;
     }
     const float faster = std::max(1.0f, away_m / (kFar * tile.left_at_m));
     tile.weight = std::clamp(tile.weight + (tile.leaving ? -tile.step * faster * faster : tile.step), 0.0f, 1.0f);
-    if (tile.rests()) tile.step = 0;
+    if (!tile.rests()) continue;
+    tile.step = 0;
+    one_has_gone_ |= tile.leaving;
   }
 }
 

@@ -28,6 +28,8 @@ class CutFade {
   void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered);
   // A frame passes. source: by slot, what is reflected of light that arrives without a bounce, W/m2.
   void advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers);
+  // Sources are others than they were, also of tiles that have not entered.
+  void relit();
   // What fades is gone, by the next cut() and follow().
   void finish();
 
@@ -42,6 +44,8 @@ class CutFade {
     formats::TileId id;
     float weight = 1, step = 0;  // step: of a frame; 0 where it has not begun
     float left_at_m = 0;         // how far away the nearest observer was then
+    static constexpr float kUnknown = -1;
+    float light = kUnknown;      // the sum of some of its nodes' sources, W/m2
     bool leaving = false;
     bool rests() const { return weight == (leaving ? 0.0f : 1.0f); }
   };
@@ -54,9 +58,11 @@ class CutFade {
   void followActive(std::span<const stream::StripPtr> active);
   void listLeaving();
   void keepTheMost();
+  float mean(const LocalMatrix& matrix, std::span<const Vec4> source);
 
   FadeSettings settings_;
   std::vector<Tile> tiles_, tiles_before_;  // of the matrix
+  bool one_has_gone_ = false;               // of tiles_, since the last cut()
   // What a frame asks of strips, most of which it has no other reason to look at.
   struct Known {
     const stream::ResidentStrip* strip;

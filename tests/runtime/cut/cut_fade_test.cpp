@@ -103,5 +103,30 @@ TEST(CutFade, WaitingForTheCutEndsAllFadesAndWhatIsTooMuchLeavesAtOnce) {
   for (size_t s = 0; s < light.size(); ++s) ASSERT_EQ(light[s].y, before[s].y);
 }
 
+TEST(CutFade, TakesAsLongUnderALightThatHasChangedAsIfItHadAlwaysBeenSo) {
+  const TestWorld test(kWorld);
+  Flight always(test, {.frames = 1}), now(test, {.frames = 1});
+  const auto spots = [](float light) {  // one node of three is lit, and of their parents all
+    return [light](formats::TileId id, std::span<Vec3> irradiance) {
+      for (size_t i = 0; i < irradiance.size(); ++i) irradiance[i] = id.level > 0 ? Vec3{light, light, light} : i % 3 == 0 ? Vec3{3 * light, 3 * light, 3 * light} : Vec3{};
+    };
+  };
+  for (Flight* f : {&always, &now}) {  // no other light, which would count for less
+    EXPECT_TRUE(f->updater.setSky({}));
+    for (uint32_t group = 0; group < test.world().info().lamp_groups.size(); ++group) EXPECT_TRUE(f->updater.setLamp(group, {}));
+  }
+  always.updater.setDirectLight(spots(1));
+  now.updater.setDirectLight(spots(1024));
+  size_t most_tiles = 0;
+  for (float x = 10; x < 58; x += 0.5f) {
+    if (x == 36) now.updater.setDirectLight(spots(1));
+    for (Flight* f : {&always, &now}) f->frame({x, 1, 30});
+    if (x < 36) continue;
+    ASSERT_EQ(now.updater.matrix().tiles.size(), always.updater.matrix().tiles.size()) << x;
+    most_tiles = std::max(most_tiles, now.updater.matrix().tiles.size() - now.streamer->active().size());
+  }
+  EXPECT_GT(most_tiles, 0u);
+}
+
 }  // namespace
 }  // namespace ff::runtime
