@@ -157,8 +157,8 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
   for (const Hint& hint : std::span(aim.hints).first(aim.hint_count))
     places_.push_back({hint.at, std::max(0.0f, std::chrono::duration<float>(hint.due - aim.at).count())});
   if (paths_.empty() && places_.empty()) return;
-  for (const formats::ChunkPtr& chunk : top_)
-    for (uint32_t t = 0; t < chunk->tiles.size(); ++t) visit(*chunk, t, plan);
+  do list(plan);
+  while (readAbsent());
   std::sort(plan.tiles.begin(), plan.tiles.end(), [](const Ahead& a, const Ahead& b) {
     if (a.seconds != b.seconds) return a.seconds < b.seconds;
     if (a.nearness != b.nearness) return a.nearness < b.nearness;
@@ -168,6 +168,31 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
   for (uint32_t k = 0; k < plan.tiles.size(); ++k) plan.by_id.push_back({plan.tiles[k].id, k});
   std::ranges::sort(plan.by_id, {}, &Plan::Named::id);
   for (auto at = chunks_.begin(); at != chunks_.end();) at = plans_ - at->second.seen < kPlansKept ? std::next(at) : chunks_.erase(at);
+}
+
+// By the chunks that are here; others are put on absent_.
+void PathPlanner::list(Plan& plan) {
+  plan.tiles.clear();
+  absent_.clear();
+  for (const formats::ChunkPtr& chunk : top_)
+    for (uint32_t t = 0; t < chunk->tiles.size(); ++t) visit(*chunk, t, plan);
+}
+
+// All of them at once. False: there is nothing new. What cannot be read now is left out; whoever wants it says so.
+bool PathPlanner::readAbsent() {
+  world_.bringChildren(absent_, {.cancelled = &stop_});
+  bool any = false;
+  for (const auto& [parent, child] : absent_) {
+    Here& here = chunks_[{parent->level - 1, parent->firstTileOf(child)}];
+    if (here.chunk || Clock::now() < here.retry_at) continue;
+    auto read = world_.child(parent, child, {.cancelled = &stop_});
+    any = any || read;
+    if (read)
+      here.chunk = std::move(*read);
+    else
+      here.retry_at = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings_.retry_seconds));
+  }
+  return any;
 }
 
 // 0: it is wanted now. Off the path but within the shell: after all that is on the path.
@@ -219,16 +244,10 @@ void PathPlanner::visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan) 
   }
 }
 
-// Null: it cannot be read now; whoever wants it says so.
+// Null: it is not here.
 const formats::Chunk* PathPlanner::look(const formats::Chunk& parent, uint32_t child, Plan& plan) {
   Here& here = chunks_[{parent.level - 1, parent.firstTileOf(child)}];
-  if (!here.chunk && Clock::now() >= here.retry_at) {
-    auto read = world_.child(parent.shared_from_this(), child, {.cancelled = &stop_});
-    if (read)
-      here.chunk = std::move(*read);
-    else
-      here.retry_at = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings_.retry_seconds));
-  }
+  if (!here.chunk && Clock::now() >= here.retry_at) absent_.push_back({parent.shared_from_this(), child});
   if (here.chunk && std::exchange(here.seen, plans_) != plans_) plan.chunks.push_back(here.chunk);
   return here.chunk.get();
 }

@@ -83,6 +83,8 @@ class PathPlanner {
   };
   void work();
   void make(const Aim& aim, Plan& plan);
+  void list(Plan& plan);
+  bool readAbsent();
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child, Plan& plan);
   void visit(const formats::Chunk& chunk, uint32_t tile, Plan& plan);
   float secondsTo(const Box& bounds, uint32_t level) const;
@@ -94,6 +96,7 @@ class PathPlanner {
   std::vector<float> radius_m_;            // by level
   std::vector<formats::ChunkPtr> top_;
   TileMap<Here> chunks_;                   // by their first tile
+  std::vector<formats::ChildRef> absent_;  // that a plan comes to and that are not here
   std::array<TurnRate, kMaxObservers> turn_rate_;
   Clock::time_point aimed_at_;
   uint32_t plans_ = 0;

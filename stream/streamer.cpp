@@ -9,6 +9,7 @@
 #include <system_error>
 #include <utility>
 
+#include "formats/codec/records.h"
 #include "stream/background_streamer.h"
 #include "stream/file_source.h"
 #include "stream/path_planner.h"
@@ -21,6 +22,8 @@ namespace ff::stream {
 namespace {
 
 using formats::TileId;
+
+constexpr uint64_t kWholeIndexBytes = 2 << 20;  // of a town of some 1.6M patches
 
 // A failed strip is read once more before it is given up.
 Result<StripPtr> loadNow(const formats::World& world, TileSource& source, const formats::TileRef& tile) {
@@ -61,6 +64,10 @@ class StreamerImpl final : public Streamer {
   }
 
   Result<void> loadTop(std::span<const formats::ChunkPtr> top) {
+    std::vector<formats::Extent> strips;
+    for (const formats::ChunkPtr& chunk : top)
+      for (const formats::TileInfo& tile : chunk->tiles) strips.push_back(tile.strip);
+    world_.bring(strips);
     for (const formats::ChunkPtr& chunk : top)
       for (uint32_t t = 0; t < chunk->tiles.size(); ++t) {
         const formats::TileRef tile{chunk, t};
@@ -252,7 +259,7 @@ class StreamerImpl final : public Streamer {
       if (const PathPlanner::Ahead& tile = plan_->tiles[rank]; is_ahead_[rank] && isMissing(tile.id) && !wanted_.isWanted(tile.id))
         missing_.push_back({kAheadNeed + tile.seconds, {tile.id, tile.chunk}});
     forgetFailures();
-    for (const ChunkRequest& request : wanted_.missingChunks())
+    for (const formats::ChildRef& request : wanted_.missingChunks())
       if (!isGivenUp(chunk_failures_, request.id())) loader_.chunkQueue().push_back(request);
     const bool had_queue = std::exchange(has_queue_, !missing_.empty() || !loader_.chunkQueue().empty());
     if (!had_queue && !has_queue_ && loader_.retired().empty()) return;
@@ -312,7 +319,7 @@ class StreamerImpl final : public Streamer {
     for (auto at = failures_.begin(); at != failures_.end();)
       at = wanted_.isWanted(at->first) || std::ranges::binary_search(plan_->by_id, at->first, {}, &PathPlanner::Plan::Named::id) ? std::next(at) : failures_.erase(at);
     for (auto at = chunk_failures_.begin(); at != chunk_failures_.end();)
-      at = std::ranges::any_of(wanted_.missingChunks(), [id = at->first](const ChunkRequest& r) { return r.id() == id; }) ? std::next(at) : chunk_failures_.erase(at);
+      at = std::ranges::any_of(wanted_.missingChunks(), [id = at->first](const formats::ChildRef& r) { return r.id() == id; }) ? std::next(at) : chunk_failures_.erase(at);
   }
   bool isRetryDue() const {
     for (const Failures* failures : {&failures_, &chunk_failures_})
@@ -375,10 +382,30 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
   return {};
 }
 
+// Over a network: of a small world the index whole, which else costs a round trip for each level at least; of a large one the coarsest chunks. The
+// shard of the coarsest strips is opened meanwhile.
+void bringBeginning(const formats::World& world) {
+  std::vector<formats::Extent> index;
+  uint64_t index_bytes = 0;
+  const auto shards = world.shards();
+  for (uint32_t shard = 0; shard < shards.size(); ++shard) {
+    if (shards[shard].kind != formats::kKindIndex) continue;
+    index_bytes += shards[shard].bytes;
+    index.push_back({.shard = shard, .offset = 0, .stored_bytes = static_cast<uint32_t>(std::min(shards[shard].bytes, kWholeIndexBytes))});
+  }
+  if (index_bytes > kWholeIndexBytes) {
+    index.clear();
+    for (const formats::ChildChunk& chunk : world.root()->children) index.push_back(chunk.record);
+  }
+  index.push_back({.shard = 0, .offset = 0, .stored_bytes = formats::kShardHeaderBytes});
+  world.bring(index);
+}
+
 }  // namespace
 
 Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, const StreamSettings& settings,
                                                    std::unique_ptr<TileSource> source, Now now) try {
+  bringBeginning(world);
   std::vector<formats::ChunkPtr> top;
   for (uint32_t k = 0; k < world.root()->children.size(); ++k) {
     auto chunk = world.child(world.root(), k);

@@ -1,6 +1,7 @@
 #include "stream/strip_loader.h"
 
 #include <algorithm>
+#include <array>
 #include <new>
 #include <utility>
 
@@ -9,6 +10,7 @@
 
 namespace ff::stream {
 
+using formats::ChildRef;
 using formats::TileId;
 using formats::TileRef;
 
@@ -35,11 +37,11 @@ std::optional<formats::Extent> together(const formats::Extent& read, const forma
 
 }  // namespace
 
-Result<StripPtr> decodeAndPack(const formats::World& world, const TileRef& tile, std::span<const std::byte> stored) {
+Result<StripPtr> decodeAndPack(const formats::World& world, const TileRef& tile, std::span<const std::byte> stored, const formats::ReadOptions& options) {
   formats::Strip strip;
   formats::World::PartnerChunks chunks;
   formats::RowWords words;
-  if (auto decoded = world.decodeStrip(tile, stored, strip, &chunks, &words); !decoded) return decoded.error();
+  if (auto decoded = world.decodeStrip(tile, stored, strip, &chunks, &words, options); !decoded) return decoded.error();
   return std::make_shared<const ResidentStrip>(pack(std::move(strip), std::move(words), tile, chunks));
 }
 
@@ -67,10 +69,10 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
   const size_t max_under_way = strips_at_once_ - 1 + kStripsPerRead;
   const size_t max_arrived = 2 * depth_ + max_under_way;  // that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
-  for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks + static_cast<size_t>(std::max(decode_threads, 1)));
+  for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks);
   for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
   under_way_.reserve(max_under_way);
-  chunks_under_way_.reserve(static_cast<size_t>(std::max(decode_threads, 1)));
+  chunks_under_way_.reserve(kMaxArrivedChunks);
   since_taken_.reserve(4 * max_arrived);
   startThreads(threads_, std::max(decode_threads, 1), [this] { work(); });
 }
@@ -155,12 +157,12 @@ void StripLoader::progress() {
 }
 
 void StripLoader::work() {
-  for (;;) {
+  for (std::array<ChildRef, kMaxArrivedChunks> chunks;;) {
     const uint32_t seen = wake_.load();
     pickUp();
     startReads();
-    if (const std::optional<ChunkRequest> request = nextChunk()) {
-      readChunk(*request);
+    if (const std::span<ChildRef> requests = nextChunks(chunks); !requests.empty()) {
+      readChunks(requests);
       continue;
     }
     if (const std::optional<Stored> stored = nextToDecode()) {
@@ -307,23 +309,28 @@ void StripLoader::countQueued() {
   if (queued_count_.exchange(queue_.size()) != queue_.size()) progress();
 }
 
-std::optional<ChunkRequest> StripLoader::nextChunk() {
+// All that are queued, as far as there is room.
+std::span<ChildRef> StripLoader::nextChunks(std::span<ChildRef> room) {
   const std::lock_guard lock(pipeline_mutex_);
-  std::optional<ChunkRequest> found;
-  while (!found && !stop_ && !queue_.chunks.empty() && arrived_chunk_count_.load() < kMaxArrivedChunks) {
-    ChunkRequest request = std::move(queue_.chunks.back());
+  size_t n = 0;
+  while (n < room.size() && !stop_ && !queue_.chunks.empty() && arrived_chunk_count_.load() + chunks_under_way_.size() < kMaxArrivedChunks) {
+    ChildRef request = std::move(queue_.chunks.back());
     queue_.chunks.pop_back();
-    if (std::ranges::find(chunks_under_way_, request.id()) == chunks_under_way_.end()) found = std::move(request);
-  }
-  if (found) {
-    chunks_under_way_.push_back(found->id());
+    if (std::ranges::find(chunks_under_way_, request.id()) != chunks_under_way_.end()) continue;
+    chunks_under_way_.push_back(request.id());
     under_way_count_.fetch_add(1);
+    room[n++] = std::move(request);
   }
   countQueued();
-  return found;
+  return room.first(n);
 }
 
-void StripLoader::readChunk(const ChunkRequest& request) {
+void StripLoader::readChunks(std::span<ChildRef> requests) {
+  if (requests.size() > 1) world_.bringChildren(requests, {.cancelled = &cancel_reads_});
+  for (ChildRef& request : requests) readChunk(std::exchange(request, {}));
+}
+
+void StripLoader::readChunk(const ChildRef& request) {
   Result<formats::ChunkPtr> chunk = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
   try {
     chunk = world_.child(request.parent, request.child, {.cancelled = &cancel_reads_});
@@ -401,7 +408,7 @@ void StripLoader::readAlone(uint32_t number) {
 void StripLoader::decode(const Stored& stored) {
   Result<StripPtr> strip = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
   try {
-    strip = decodeAndPack(world_, stored.tile, stored.bytes);
+    strip = decodeAndPack(world_, stored.tile, stored.bytes, {.cancelled = &cancel_reads_});
   } catch (const std::bad_alloc&) {  // also of the line that would say so
   }
   const std::lock_guard lock(pipeline_mutex_);

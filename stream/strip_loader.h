@@ -1,5 +1,5 @@
 // The pipeline between the streamer and its source: reads the most urgent tiles, a few at a time, in one read those that lie beside each other, and decodes them on
-// its own threads, which also read the index of chunks that are asked for. The owner is one thread, which must not be held up: its calls allocate and free nothing, start no
+// its own threads, which also read the index of chunks that are asked for, all of them at once. The owner is one thread, which must not be held up: its calls allocate and free nothing, start no
 // reads, and share a lock with the loader's threads that only ever guards a swap of lists (and, on their side, the
 // addition of one arrival).
 #pragma once
@@ -11,6 +11,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
@@ -23,17 +24,10 @@
 namespace ff::stream {
 
 // From stored bytes to a strip to keep. Errors: as World::decodeStrip and pack.
-Result<StripPtr> decodeAndPack(const formats::World& world, const formats::TileRef& tile, std::span<const std::byte> stored);
+Result<StripPtr> decodeAndPack(const formats::World& world, const formats::TileRef& tile, std::span<const std::byte> stored, const formats::ReadOptions& options = {});
 
 // Reads a strip, too, and waits for it.
 Result<StripPtr> readResident(const formats::World& world, const formats::TileRef& tile);
-
-// A chunk to be read: its parent, and which child of that it is.
-struct ChunkRequest {
-  formats::ChunkPtr parent;
-  uint32_t child = 0;
-  formats::TileId id() const { return {parent->level - 1, parent->firstTileOf(child)}; }  // its first tile, by which it is known
-};
 
 class StripLoader {
  public:
@@ -62,7 +56,7 @@ class StripLoader {
   // The owner's calls.
   // The lists to fill for submit(), the most urgent last. Empty after submit().
   std::vector<formats::TileRef>& queue() { return next_.tiles; }
-  std::vector<ChunkRequest>& chunkQueue() { return next_.chunks; }
+  std::vector<formats::ChildRef>& chunkQueue() { return next_.chunks; }
   // Strips and chunks to be let go of. The loader's threads keep each until nobody else holds it and then free it, so that no
   // owner ever frees one. Empty after submit(), unless the loader is late: then they wait for the next.
   std::vector<std::shared_ptr<const void>>& retired() { return next_retired_; }
@@ -95,7 +89,7 @@ class StripLoader {
   // What is asked for, the most urgent last. `taken`: strips that its maker had taken when it was made.
   struct Queue {
     std::vector<formats::TileRef> tiles;
-    std::vector<ChunkRequest> chunks;
+    std::vector<formats::ChildRef> chunks;
     uint32_t taken = 0;
     uint32_t size() const { return static_cast<uint32_t>(tiles.size() + chunks.size()); }
     void clear() { tiles.clear(), chunks.clear(); }
@@ -129,10 +123,11 @@ class StripLoader {
   bool isOnItsWay(formats::TileId id) const;
   void begin(formats::TileRef tile, uint32_t read);
   uint32_t nextNumber();
-  std::optional<ChunkRequest> nextChunk();
+  std::span<formats::ChildRef> nextChunks(std::span<formats::ChildRef> room);
   std::optional<Stored> nextToDecode();
   void onRead(uint32_t number, Result<std::vector<std::byte>> bytes);
-  void readChunk(const ChunkRequest& request);
+  void readChunks(std::span<formats::ChildRef> requests);
+  void readChunk(const formats::ChildRef& request);
   void decode(const Stored& stored);
   // All with pipeline_mutex_ held; they need no memory, or do without.
   void countQueued();

@@ -41,7 +41,7 @@ class WantedTiles {
   std::span<const Tile> walk(const Observers& observers, const Lead& lead);
   std::span<const Tile> wanted() const { return wanted_; }
   // Chunks beyond which the last walk could not look, the most urgent last. Valid until the next walk.
-  std::span<const ChunkRequest> missingChunks() const { return missing_; }
+  std::span<const formats::ChildRef> missingChunks() const { return missing_; }
   // Hands over chunks that no walk has looked at for long.
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
   bool has(formats::TileId first_tile) const { return chunks_.contains(first_tile); }  // a chunk
@@ -96,7 +96,7 @@ class WantedTiles {
   uint32_t walks_ = 0;
   std::vector<Candidate> heap_;
   std::vector<Tile> wanted_, wanted_before_;  // by the last walk, by the one before; sorted
-  std::vector<ChunkRequest> missing_;
+  std::vector<formats::ChildRef> missing_;
   TileSet asked_;                             // of missing_
   uint64_t bytes_ = 0;
   uint32_t nodes_ = 0, level0_nodes_ = 0;

@@ -3,6 +3,8 @@
 #include <zstd.h>
 
 #include <algorithm>
+#include <condition_variable>
+#include <map>
 #include <mutex>
 #include <new>
 
@@ -11,6 +13,7 @@
 #include "formats/codec/manifest.h"
 #include "formats/codec/strip_codec.h"
 #include "formats/read/shard.h"
+#include "formats/storage/in_parallel.h"
 
 namespace ff::formats {
 
@@ -20,9 +23,11 @@ struct World::State {
   Manifest manifest;
   uint64_t checksum = 0;  // of its bytes
   std::vector<ShardInfo> shards;
-  // Guards what follows; held while a shard is opened, not while one is read.
-  mutable std::mutex mutex;
-  mutable std::vector<std::unique_ptr<StoredFile>> files;                 // of `shards`; null: not opened yet
+  bool all = false;  // will be read
+  mutable std::mutex mutex;  // guards what follows; not held while anything is opened or read
+  mutable std::vector<std::unique_ptr<StoredFile>> files;  // of `shards`; null: not opened yet
+  mutable std::vector<bool> opening;                       // by somebody
+  mutable std::condition_variable opened;                  // or not: nobody does any more
 
   Result<const StoredFile*> file(uint32_t shard, const ReadOptions& options = {}) const;
   // Whether what the index names is there, as the manifest has it.
@@ -62,6 +67,7 @@ Result<World> World::open(const std::string& path, const StoragePtr& given) try 
   state->checksum = hashBytes(*bytes);
   for (const ShardRecord& record : state->manifest.shards) state->shards.push_back({record.name, record.bytes, record.kind});
   state->files.resize(state->shards.size());
+  state->opening.resize(state->shards.size());
   for (const ChildChunk& chunk : state->manifest.root->children)
     if (!state->holds(kKindIndex, chunk.record)) return Error{ErrorCode::kInvalidFile, path, "", "its root names bytes outside the shards", kRemedy};
   return World(std::move(state));
@@ -82,12 +88,23 @@ uint64_t World::checksum() const { return state_->checksum; }
 const ChunkPtr& World::root() const { return state_->manifest.root; }
 
 Result<const StoredFile*> World::State::file(uint32_t shard, const ReadOptions& options) const {
-  const std::lock_guard lock(mutex);
-  if (!files[shard]) {
-    auto opened = openShard(*storage, pathOf(shard), manifest.shards[shard], options);
-    if (!opened) return opened.error();
-    files[shard] = std::move(*opened);
+  std::unique_lock lock(mutex);
+  for (; opening[shard]; opened.wait_for(lock, kLookAtOptions))
+    if (const char* why = whyReadEnds(options)) return Error{ErrorCode::kIo, pathOf(shard), "", why, ""};
+  if (files[shard]) return files[shard].get();
+  Result<std::unique_ptr<StoredFile>> file = Error{ErrorCode::kIo, pathOf(shard), "", "out of memory", "close other programs"};
+  opening[shard] = true;
+  lock.unlock();
+  try {
+    file = openShard(*storage, pathOf(shard), manifest.shards[shard], options);
+  } catch (const std::bad_alloc&) {
   }
+  lock.lock();
+  opening[shard] = false;
+  opened.notify_all();
+  if (!file) return file.error();
+  if (all) (*file)->expectAll();
+  files[shard] = std::move(*file);
   return files[shard].get();
 }
 
@@ -109,6 +126,30 @@ Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, c
   if (!file) return file.error();
   return (*file)->read(extent.offset, out, options);
 }
+
+void World::bring(std::span<const Extent> extents, const ReadOptions& options) const try {
+  std::map<uint32_t, std::vector<StoredFile::Range>> by_shard;
+  for (const Extent& extent : extents) by_shard[extent.shard].push_back({extent.offset, extent.stored_bytes});
+  std::vector<uint32_t> shards;
+  for (const auto& [shard, ranges] : by_shard) shards.push_back(shard);
+  inParallel(shards.size(), [&](size_t k) {
+    try {
+      if (const auto file = state_->file(shards[k], options)) (*file)->bring(by_shard.at(shards[k]), options);
+    } catch (const std::bad_alloc&) {
+    }
+  });
+} catch (const std::bad_alloc&) {
+}
+
+void World::bringChildren(std::span<const ChildRef> children, const ReadOptions& options) const try {
+  std::vector<Extent> records;
+  for (const auto& [parent, child] : children)
+    if (!childHere(*parent, child)) records.push_back(parent->children[child].record);
+  bring(records, options);
+} catch (const std::bad_alloc&) {
+}
+
+void World::expectAll() { state_->all = true; }
 
 ChunkPtr World::childHere(const Chunk& parent, uint32_t child) const {
   const std::lock_guard lock(state_->mutex);
@@ -170,28 +211,34 @@ ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
 
 }  // namespace
 
-Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
+Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const { return find(level, name, from, nullptr); }
+
+Result<ChunkPtr> World::find(uint32_t level, const TileName& name, const ChunkPtr& from, std::vector<ChildRef>* absent) const {
   // From the lowest chunk that covers the place up: a cell may have several records.
   for (const Chunk* at = from.get();; at = at->parent.get()) {
     if (at->parent && !same(at->cell, ancestorOf(name.chunk, level, at->level))) continue;
-    auto found = search(at->shared_from_this(), level, name);
-    if (!found || *found || !at->parent) return found;
+    auto found = search(at->shared_from_this(), level, name, absent);
+    if (!found || *found || !at->parent || (absent && !absent->empty())) return found;
   }
 }
 
 // Below a chunk that covers the place; null: it is not there.
-Result<ChunkPtr> World::search(ChunkPtr at, uint32_t level, const TileName& name) const {
+Result<ChunkPtr> World::search(ChunkPtr at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const {
   if (at->level == level) return holds(*at, name.tile) ? std::move(at) : ChunkPtr();
   const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
   for (uint32_t k = 0; k < at->children.size(); ++k) {
     if (!same(at->children[k].cell, next)) continue;
     ChunkPtr below = childHere(*at, k);
+    if (!below && absent) {
+      absent->push_back({at, k});
+      continue;
+    }
     if (!below) {
       auto read = child(at, k);
       if (!read) return read;
       below = std::move(*read);
     }
-    auto found = search(std::move(below), level, name);
+    auto found = search(std::move(below), level, name, absent);
     if (!found || *found) return found;
   }
   return ChunkPtr();
@@ -240,15 +287,55 @@ Result<TileRef> World::tile(uint32_t level, const TileName& name) const {
   return TileRef{std::move(*chunk), index};
 }
 
-Result<World::Tiles> World::childTiles(const TileRef& tile) const {
+Result<World::Tiles> World::childTiles(const TileRef& tile, const ReadOptions& options) const {
   const TileInfo& info = tile.info();
-  auto below = child(tile.chunk, tile.chunk->childWith(info.first_child));
+  auto below = child(tile.chunk, tile.chunk->childWith(info.first_child), options);
   if (!below) return below.error();
   const uint32_t first = (*below)->firstTile();
   return Tiles{std::move(*below), info.first_child - first, info.end_child - first};
 }
 
-Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners, RowWords* words) const {
+// Partners in the order of blocks: of all blocks, or of those before one whose tile is nowhere, whose number is the answer. Chunks that are not here are
+// read a level at a time.
+Result<size_t> World::findPartners(const TileRef& tile, std::span<const PartnerName> names, PartnerChunks& partners, const ReadOptions& options) const {
+  std::vector<ChildRef> absent, asked;
+  for (std::vector<ChunkPtr> read;;) {
+    partners.clear();
+    absent.clear();
+    const Chunk* at = nullptr;  // of the block before
+    for (size_t b = 0; b < names.size(); ++b) {
+      if (!at || !same(names[b].step, names[b - 1].step) || !holds(*at, names[b].tile)) {
+        ChunkCell cell;
+        for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
+        asked.clear();
+        auto found = find(tile.chunk->level, {cell, names[b].tile}, partners.empty() ? tile.chunk : partners.back().chunk, &asked);
+        if (!found) return found.error();
+        at = found->get();
+        if (!at && asked.empty()) return b;
+        if (!at) {
+          absent.insert(absent.end(), asked.begin(), asked.end());
+          continue;
+        }
+        partners.push_back({std::move(*found), b});
+      }
+      partners.back().end_block = b + 1;
+      __builtin_prefetch(&at->tiles[names[b].tile - at->first_number].nodes);  // they lie far apart
+    }
+    if (absent.empty()) return names.size();
+    const auto key = [](const ChildRef& c) { return std::pair(c.parent.get(), c.child); };
+    std::ranges::sort(absent, {}, key);
+    absent.erase(std::ranges::unique(absent, {}, key).begin(), absent.end());
+    bringChildren(absent, options);
+    for (const auto& [parent, number] : absent) {
+      auto chunk = child(parent, number, options);
+      if (!chunk) return chunk.error();
+      read.push_back(std::move(*chunk));
+    }
+  }
+}
+
+Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners, RowWords* words,
+                                const ReadOptions& options) const {
   const State& s = *state_;
   const TileInfo& info = tile.info();
   thread_local std::vector<PartnerName> names;
@@ -271,20 +358,9 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
   };
   PartnerChunks own;
   PartnerChunks& chunks = partners ? *partners : own;
-  chunks.clear();
-  for (size_t b = 0; b < names.size(); ++b) {
-    if (b == 0 || !same(names[b].step, names[b - 1].step) || !holds(*chunks.back().chunk, names[b].tile)) {
-      ChunkCell cell;
-      for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
-      auto found = chunkOf(tile.chunk->level, {cell, names[b].tile}, b > 0 ? chunks.back().chunk : tile.chunk);
-      if (!found) return found.error();
-      if (!*found) return bad(b, "names a tile that is not there");
-      chunks.push_back({std::move(*found), b});
-    }
-    PartnerChunk& part = chunks.back();
-    part.end_block = b + 1;
-    __builtin_prefetch(&part.chunk->tiles[names[b].tile - part.chunk->first_number].nodes);  // they lie far apart
-  }
+  const auto found = findPartners(tile, names, chunks, options);
+  if (!found) return found.error();
+  if (*found < names.size()) return bad(*found, "names a tile that is not there");
   size_t b = 0;
   for (const auto& [chunk, end_block] : chunks)
     for (const uint32_t first_tile = chunk->firstTile(); b < end_block; ++b) {
@@ -323,7 +399,7 @@ Result<TileGeometry> World::geometry(uint32_t number) const {
   return geometry(*found);
 }
 
-Result<TileGeometry> World::geometry(const TileRef& tile) const {
+Result<TileGeometry> World::geometry(const TileRef& tile, const ReadOptions& options) const {
   const State& s = *state_;
   if (tile.chunk->geometry.empty())
     return Error{ErrorCode::kInvalidFile, s.path, "", "has no drawing geometry", "bake it with drawing geometry"};
@@ -333,7 +409,7 @@ Result<TileGeometry> World::geometry(const TileRef& tile) const {
     return Error{ErrorCode::kInvalidFile, path, tileText(tile) + ", geometry at offset " + std::to_string(info.strip.offset), what, kRemedy};
   };
   std::vector<std::byte> stored(info.strip.stored_bytes);
-  if (auto ok = readStored(info.strip, stored); !ok) return ok.error();
+  if (auto ok = readStored(info.strip, stored, options); !ok) return ok.error();
   if (hashBytes(stored) != info.strip.checksum) {
     s.forget(info.strip);
     return bad("checksum mismatch: bytes were changed, swapped or left over from another bake");

@@ -16,6 +16,15 @@
 
 namespace ff::formats {
 
+struct PartnerName;
+
+// A chunk that may not have been read: its parent, and which child of that it is.
+struct ChildRef {
+  ChunkPtr parent;
+  uint32_t child = 0;
+  TileId id() const { return {parent->level - 1, parent->firstTileOf(child)}; }  // its first tile, by which it is known
+};
+
 struct ShardInfo {
   std::string name;     // beside the manifest
   uint64_t bytes = 0;
@@ -41,12 +50,16 @@ class World {
   Result<void> openShards(const ReadOptions& options = {}) const;
   // Of a shard that is opened now if it was not: for asynchronous readers, valid as long as the World lives; never close it. -1: the storage has none.
   Result<int> descriptor(uint32_t shard, const ReadOptions& options = {}) const;
+  // What will be read next. Over a network all of it is asked for at once, and this waits until it is here; else it does nothing. What fails is told by the reads.
+  void bring(std::span<const Extent> extents, const ReadOptions& options = {}) const;
 
   // The index. All but root() may read.
   // Has no tiles; its children are the chunks of the coarsest level.
   const ChunkPtr& root() const;
   // The child number `child` of a chunk; the same object for all who hold it at one time.
   Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options = {}) const;
+  // Several that will be asked for by child(), as bring().
+  void bringChildren(std::span<const ChildRef> children, const ReadOptions& options = {}) const;
   // The chunk that holds a tile, found from any chunk of the same level or the root; null where nothing has that name.
   Result<ChunkPtr> chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const;
   // By number. kUsage: there is no such tile.
@@ -60,13 +73,14 @@ class World {
     ChunkPtr chunk;
     uint32_t first = 0, end = 0;
   };
-  Result<Tiles> childTiles(const TileRef& tile) const;
+  Result<Tiles> childTiles(const TileRef& tile, const ReadOptions& options = {}) const;
 
   // Where a strip's partner tiles lie, for those who look further.
   using PartnerChunks = std::vector<PartnerChunk>;
   // Decodes stored bytes (of `tile`'s strip, read by any means) into `out`, whose vectors are reused. Checks the checksum and every rule of
-  // FORMAT.md. May read the index of the partners' chunks; partners: theirs, in the order of blocks, if it is not null.
-  Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr, RowWords* words = nullptr) const;
+  // FORMAT.md. May read the index of the partners' chunks, all of one level together; partners: theirs, in the order of blocks, if it is not null.
+  Result<void> decodeStrip(const TileRef& tile, std::span<const std::byte> stored, Strip& out, PartnerChunks* partners = nullptr, RowWords* words = nullptr,
+                           const ReadOptions& options = {}) const;
   // Reads stored bytes. out: Extent::stored_bytes.
   Result<void> readStored(const Extent& extent, std::span<std::byte> out, const ReadOptions& options = {}) const;
   // Reads and decodes.
@@ -74,14 +88,21 @@ class World {
   Result<Strip> strip(TileId id) const;
   // Drawing geometry of a level-0 tile; kInvalidFile if the world has none.
   bool hasGeometry() const;
-  Result<TileGeometry> geometry(const TileRef& tile) const;
+  Result<TileGeometry> geometry(const TileRef& tile, const ReadOptions& options = {}) const;
   Result<TileGeometry> geometry(uint32_t tile) const;
+
+ protected:
+  // That all of it will be read, so that a storage that is slow to answer is asked for much at a time. Before anything is read.
+  void expectAll();
 
  private:
   struct State;
   explicit World(std::unique_ptr<State> state);
   ChunkPtr childHere(const Chunk& parent, uint32_t child) const;  // null: nobody holds it
-  Result<ChunkPtr> search(ChunkPtr at, uint32_t level, const TileName& name) const;
+  // absent: not null: chunks that are not here are put on it instead of being read, and what may lie in them is not found.
+  Result<ChunkPtr> find(uint32_t level, const TileName& name, const ChunkPtr& from, std::vector<ChildRef>* absent) const;
+  Result<ChunkPtr> search(ChunkPtr at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const;
+  Result<size_t> findPartners(const TileRef& tile, std::span<const PartnerName> names, PartnerChunks& partners, const ReadOptions& options) const;
   Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const;
   std::unique_ptr<State> state_;
 };

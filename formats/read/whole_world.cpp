@@ -13,6 +13,7 @@ Result<WholeWorld> WholeWorld::open(const std::string& path, const StoragePtr& s
   auto opened = World::open(path, storage);
   if (!opened) return opened.error();
   WholeWorld world(std::move(*opened));
+  world.expectAll();
   if (auto ok = world.readChunks(); !ok) return ok.error();
   if (auto ok = world.checkShards(); !ok) return ok.error();
   return world;

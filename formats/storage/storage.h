@@ -41,6 +41,14 @@ class StoredFile {
   virtual int descriptor() const { return -1; }
   // What was read from there is not what was once written: a storage that keeps copies drops these, so that the next read brings new ones.
   virtual void forget(uint64_t /*offset*/, uint64_t /*bytes*/) const {}
+  // What will be read next. A storage that is slow to answer and keeps copies asks for all of it at once, and this waits until it is there, as the
+  // options have it; all others do nothing. What fails is told by the reads. Thread-safe.
+  struct Range {
+    uint64_t offset = 0, bytes = 0;
+  };
+  virtual void bring(std::span<const Range> /*ranges*/, const ReadOptions& /*options*/ = {}) const {}
+  // From now on reads follow each other through the file, by and large: such a storage then brings far more than is read. Thread-safe.
+  virtual void expectAll() const {}
 
  protected:
   Error endsEarly(uint64_t offset) const;  // of a read past the end

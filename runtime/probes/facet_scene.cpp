@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <deque>
 #include <functional>
 #include <new>
 #include <optional>
@@ -18,13 +19,15 @@ constexpr float kBackHandicapCells = 4e-3f;
 constexpr auto kPublishEvery = std::chrono::milliseconds(50);
 // Cells that the observer moves before the choice of tiles is looked at again.
 constexpr float kReaimCells = 4;
+constexpr size_t kTilesTogether = 32;  // whose triangles are asked for at once
 
 // Level-0 tiles, the nearest first, by a descent that visits only tiles that are as near and their siblings. What cannot be read is left out.
 class NearestTiles {
  public:
-  NearestTiles(const formats::World& world, const stream::Observers& observers) : world_(world), observers_(observers) {
+  NearestTiles(const formats::World& world, const stream::Observers& observers, const formats::ReadOptions& options)
+      : world_(world), observers_(observers), options_(options) {
     for (uint32_t k = 0; k < world.root()->children.size(); ++k)
-      if (auto chunk = world.child(world.root(), k)) offer(*chunk, 0, static_cast<uint32_t>((*chunk)->tiles.size()));
+      if (auto chunk = world.child(world.root(), k, options_)) offer(*chunk, 0, static_cast<uint32_t>((*chunk)->tiles.size()));
   }
   struct Place {
     float distance_m = 0;
@@ -39,9 +42,28 @@ class NearestTiles {
       Place place = std::move(heap_.back());
       heap_.pop_back();
       if (place.tile.id().level == 0) return place;
-      if (auto below = world_.childTiles(place.tile)) offer(below->chunk, below->first, below->end);
+      if (auto below = world_.childTiles(place.tile, options_)) offer(below->chunk, below->first, below->end);
     }
     return std::nullopt;
+  }
+  // The same; over a network, triangles that are not in `loaded` are asked for some tiles at a time.
+  template <class Loaded>
+  std::optional<Place> nextWithout(const Loaded& loaded) {
+    if (brought_.empty()) {
+      std::vector<formats::Extent> extents;
+      while (brought_.size() < kTilesTogether) {
+        std::optional<Place> place = next();
+        if (!place) break;
+        const formats::TileRef& tile = place->tile;
+        if (!loaded.contains(tile.id().tile) && !tile.chunk->geometry.empty()) extents.push_back(tile.chunk->geometry[tile.index].strip);
+        brought_.push_back(std::move(*place));
+      }
+      world_.bring(extents, options_);
+    }
+    if (brought_.empty()) return std::nullopt;
+    std::optional<Place> first = std::move(brought_.front());
+    brought_.pop_front();
+    return first;
   }
   // That the descent went through.
   std::vector<formats::ChunkPtr> takeChunks() { return std::move(chunks_); }
@@ -56,8 +78,10 @@ class NearestTiles {
   }
   const formats::World& world_;
   const stream::Observers observers_;
+  const formats::ReadOptions options_;
   std::vector<formats::ChunkPtr> chunks_;
   std::vector<Place> heap_;
+  std::deque<Place> brought_;
 };
 
 }  // namespace
@@ -182,9 +206,9 @@ bool FacetScenes::loadAround(const stream::Observers& observers) {
   std::vector<Place> far;                    // what is here, the farthest last
   for (const auto& [tile, facets] : loaded_) far.emplace_back(observers.distance(facets->tile.info().bounds), tile);
   std::ranges::sort(far);
-  NearestTiles nearest(world_, observers);
+  NearestTiles nearest(world_, observers, {.cancelled = &stop_});
   auto published = std::chrono::steady_clock::now();
-  while (const std::optional<NearestTiles::Place> next = nearest.next()) {
+  while (const std::optional<NearestTiles::Place> next = nearest.nextWithout(loaded_)) {
     if (stop_ || aim_.load() != aim) break;
     const uint32_t number = next->tile.id().tile;
     if (loaded_.contains(number)) continue;
@@ -211,7 +235,7 @@ bool FacetScenes::loadAround(const stream::Observers& observers) {
 
 // Null: unreadable; its area stays with the planes of the cut (ffinspect verify names what is wrong with a file).
 std::shared_ptr<const TileFacets> FacetScenes::load(const formats::TileRef& tile) const {
-  const auto geometry = world_.geometry(tile);
+  const auto geometry = world_.geometry(tile, {.cancelled = &stop_});
   if (!geometry) return nullptr;
   auto out = std::make_shared<TileFacets>();
   out->tile = tile;

@@ -1,5 +1,5 @@
 // ff_bench_remote: a world behind a web server on this machine that takes its time for each answer, as a network does: how long after a teleport all is
-// there, with how many requests and bytes, without a cache and with an empty one on the disk. Beside it, in turns, the same where each strip has a read of
+// there, with how many requests and bytes, with pieces in memory and with an empty folder for them; and how long from nothing to the first place. Beside it, in turns, the same where each strip has a read of
 // its own. Prints JSON lines.
 #include <unistd.h>
 
@@ -32,7 +32,8 @@ struct Options {
 constexpr int kThreads = 16;  // as many as a remote source has
 
 struct Teleports {
-  std::vector<double> ready_ms;
+  std::vector<double> ready_ms, opened_ms;
+  uint64_t open_requests = 0, open_index_requests = 0;
   uint64_t requests = 0, index_requests = 0, line_bytes = 0, used_bytes = 0, strips = 0, reads = 0;
 };
 
@@ -45,14 +46,15 @@ Vec3 placeOf(const Options& options, const Box& bounds, int number) {
 }
 
 void fly(const Options& options, formats::WebServer& server, const std::atomic<uint64_t>& index_requests, bool cached, bool shared, const std::string& folder, Teleports& sum) {
-  const auto http = formats::httpStorage();
-  const auto storage = cached ? formats::cachedStorage(http, {.folder = folder + "/cache"}) : http;
+  const auto storage = formats::cachedStorage(formats::httpStorage(), {.folder = cached ? folder + "/cache" : ""});
+  const uint64_t requests_before = server.requests, of_index_before = index_requests;
+  const auto opened = Clock::now();
   const auto world = orExit(formats::World::open(server.address("/" + formats::fileNameOf(options.world)), storage));
   stream::StreamSettings settings;
   settings.radius_m *= world.info().cell_m;
   const auto streamer = orExit(stream::Streamer::create(world, settings, shared ? stream::makeFileSource(world) : stream::makeThreadSource(world, kThreads, {})));
   std::set<formats::TileId> seen;
-  for (int number = 0; number <= options.teleports; ++number) {  // the first opens files
+  for (int number = 0; number <= options.teleports; ++number) {  // the first belongs to opening
     const uint64_t requests = server.requests, of_index = index_requests, line_bytes = server.body_bytes;
     const stream::StreamStats before = streamer->stats();
     const auto began = Clock::now();
@@ -62,7 +64,12 @@ void fly(const Options& options, formats::WebServer& server, const std::atomic<u
     uint64_t used_bytes = 0;
     for (const stream::StripPtr& strip : streamer->active())
       if (seen.insert(strip->id).second) used_bytes += strip->tile.info().strip.stored_bytes;
-    if (number == 0) continue;
+    if (number == 0) {
+      sum.opened_ms.push_back(msSince(opened));
+      sum.open_requests += server.requests - requests_before;
+      sum.open_index_requests += index_requests - of_index_before;
+      continue;
+    }
     const stream::StreamStats after = streamer->stats();
     sum.ready_ms.push_back(ready_ms);
     sum.requests += server.requests - requests;
@@ -78,7 +85,11 @@ void fly(const Options& options, formats::WebServer& server, const std::atomic<u
 
 void report(const std::string& name, Teleports& ours, Teleports& alone) {
   const auto each = [](uint64_t of, const Teleports& all) { return static_cast<double>(of) / static_cast<double>(all.ready_ms.size()); };
-  const std::string note = name + ", " + std::to_string(ours.ready_ms.size()) + " teleports; limit: each strip by a read of its own, in turns";
+  const std::string alone_note = "; limit: each strip by a read of its own, in turns", note = name + ", " + std::to_string(ours.ready_ms.size()) + " teleports" + alone_note;
+  const auto flights = static_cast<double>(ours.opened_ms.size());
+  print("remote.open_ms", median(ours.opened_ms), "ms", median(alone.opened_ms), name + alone_note + "; until the world is open and all of the first place is there");
+  print("remote.open_requests", static_cast<double>(ours.open_requests) / flights, "requests", static_cast<double>(alone.open_requests) / flights,
+        name + alone_note + "; likewise, of these " + std::to_string(static_cast<int>(static_cast<double>(ours.open_index_requests) / flights)) + " of the index");
   const double ours_ms = median(ours.ready_ms), alone_ms = median(alone.ready_ms);
   print("remote.ready_ms", ours_ms, "ms", alone_ms, note + "; until all is there, median");
   print("remote.requests", each(ours.requests, ours), "requests", each(alone.requests, alone), note + "; a teleport, of these " + std::to_string(static_cast<int>(each(ours.index_requests, ours))) + " of the index");
@@ -116,7 +127,7 @@ int main(int argc, char** argv) {
       fly(options, server, index_requests, cached, false, folder.string(), alone);
       fly(options, server, index_requests, cached, true, folder.string(), ours);
     }
-    report(std::string(cached ? "an empty cache" : "no cache") + ", answers " + std::to_string(options.delay_ms) + " ms late", ours, alone);
+    report(std::string(cached ? "an empty cache" : "no folder for a cache") + ", answers " + std::to_string(options.delay_ms) + " ms late", ours, alone);
   }
   std::filesystem::remove_all(folder);
   return 0;

@@ -11,6 +11,7 @@
 #include "formats/read/whole_world.h"
 #include "formats/storage/cached_storage.h"
 #include "formats/storage/memory_storage.h"
+#include "formats/storage/piece_memory.h"
 #include "tests/formats/faulty_storage.h"
 #include "tests/support/nginx.h"
 #include "tests/support/random_world.h"
@@ -356,6 +357,117 @@ TEST_F(Cache, ManyThreadsOfTwoProcessesReadAPieceOnceEach) {
     });
   for (std::thread& thread : threads) thread.join();
   EXPECT_LE(reads_, 2 * 11u);
+}
+
+TEST_F(Cache, KeepsPiecesInMemoryWhereThereIsNoFolder) {
+  const auto storage = cachedStorage(far_, {.folder = "", .memory_bytes = 5 * kCachePiece});
+  const auto file = open(storage);
+  const auto expectReads = [&](uint64_t piece, uint64_t reads) {
+    reads_ = 0;
+    EXPECT_EQ(*readText(*file, piece * kCachePiece + 7, 100), content_.substr(piece * kCachePiece + 7, 100));
+    EXPECT_EQ(reads_, reads) << "piece " << piece;
+  };
+  expectReads(1, 1);
+  expectReads(1, 0);
+  for (uint64_t piece = 2; piece < 6; ++piece) expectReads(piece, 1);
+  expectReads(1, 0);
+  expectReads(6, 1);
+  expectReads(2, 1);  // that was read longest ago
+  expectReads(1, 0);
+  reads_ = 0;
+  EXPECT_EQ(*readText(*open(storage), 6 * kCachePiece, 9), content_.substr(6 * kCachePiece, 9));
+  EXPECT_EQ(reads_, 0u) << "opened again";
+  file->forget(6 * kCachePiece + 100, 1);
+  expectReads(6, 1);
+  file->forget(0, file->bytes());
+  expectReads(6, 1);
+  expectWhole(*file);
+}
+
+TEST(PieceMemory, StaysWithinItsLimit) {
+  PieceMemory memory(10'000);
+  std::mt19937 random(3);
+  for (int i = 0; i < 3000; ++i) {
+    const PieceMemory::Key key{random() % 3, random() % 20};
+    const std::vector<std::byte> bytes(random() % 3000, std::byte{static_cast<unsigned char>(key.piece)});
+    memory.keep(key, bytes);
+    EXPECT_LE(memory.bytes(), 10'000u);
+    ASSERT_TRUE(memory.find(key));
+    EXPECT_EQ(*memory.find(key), bytes);
+  }
+  EXPECT_GT(memory.bytes(), 6'000u);
+  memory.keep({1, 1}, std::vector<std::byte>(10'001));
+  EXPECT_EQ(memory.bytes(), 0u) << "what is larger than the limit takes the place of all and goes";
+}
+
+// With a folder, and in memory.
+class Bring : public Cache, public testing::WithParamInterface<bool> {
+ protected:
+  Bring() {
+    far_->on_read = [this] {
+      ++reads_;
+      for (uint64_t now = ++at_a_time_, most = most_; now > most && !most_.compare_exchange_weak(most, now);) {
+      }
+      std::this_thread::sleep_for(50ms);
+      --at_a_time_;
+    };
+  }
+  StoragePtr storage() const { return cachedStorage(far_, GetParam() ? settings() : CacheSettings{.folder = ""}); }
+  std::atomic<uint64_t> at_a_time_ = 0, most_ = 0;
+};
+INSTANTIATE_TEST_SUITE_P(FolderAndMemory, Bring, testing::Bool());
+
+TEST_P(Bring, AsksForAllAtOnceAndForWhatIsHereNotAgain) {
+  const auto file = open(storage());
+  (void)readText(*file, 5 * kCachePiece, 1);
+  reads_ = 0;
+  file->bring(std::vector<StoredFile::Range>{{9 * kCachePiece, 1}, {100, 1}, {2 * kCachePiece, 3 * kCachePiece + 1}, {7 * kCachePiece, 10}, {9 * kCachePiece, 50}, {content_.size() - 1, 1}}, {});
+  EXPECT_EQ(reads_, 4u) << "0; 2 to 4, beside 5, which is here; 7; 9 and the last";
+  EXPECT_GE(most_, 3u);
+  reads_ = 0;
+  for (const uint64_t piece : {0, 2, 3, 4, 5, 7, 9, 10}) EXPECT_EQ(*readText(*file, piece * kCachePiece, 100), content_.substr(piece * kCachePiece, 100));
+  EXPECT_EQ(reads_, 0u);
+}
+
+TEST_P(Bring, LeavesFaultsToTheReads) {
+  const auto file = open(storage());
+  far_->outage = true;
+  const StoredFile::Range ranges[] = {{0, 1}, {5 * kCachePiece, 1}};
+  file->bring(ranges, {});
+  EXPECT_FALSE(readText(*file, 0, 10));
+  far_->outage = false;
+  EXPECT_EQ(*readText(*file, 0, 10), content_.substr(0, 10));
+  std::atomic<bool> cancelled = true;
+  reads_ = 0;
+  file->bring(ranges, {.cancelled = &cancelled});
+  EXPECT_EQ(reads_, 0u);
+  expectWhole(*file);
+}
+
+TEST_P(Bring, ManyThreadsBringAndReadAPieceOnceEach) {
+  const auto file = open(storage());
+  std::vector<std::thread> threads;
+  for (unsigned k = 0; k < 8; ++k)
+    threads.emplace_back([&, k] {
+      std::mt19937 random(k);
+      for (int i = 0; i < 50; ++i) {
+        const size_t bytes = 1 + random() % 100000, offset = random() % (content_.size() - bytes);
+        const StoredFile::Range ranges[] = {{offset, bytes}, {random() % content_.size(), 1}};
+        if (i % 2) file->bring(ranges, {});
+        EXPECT_TRUE(*readText(*file, offset, bytes) == content_.substr(offset, bytes));
+      }
+    });
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_LE(reads_, 11u);
+}
+
+TEST_P(Bring, WhatIsReadFromItsBeginningToItsEndComesAhead) {
+  const auto file = open(storage());
+  file->expectAll();
+  for (size_t offset = 0; offset < content_.size(); offset += 1000)
+    EXPECT_EQ(*readText(*file, offset, std::min<size_t>(1000, content_.size() - offset)), content_.substr(offset, 1000));
+  EXPECT_EQ(reads_, 4u) << "the first piece, and the ten behind it by three requests at once";
+  EXPECT_EQ(most_, 3u);
 }
 
 TEST_F(Cache, ReadsAgainWhatIsDamaged) {

@@ -3,6 +3,7 @@
 
 #include <filesystem>
 
+#include "formats/codec/records.h"
 #include "formats/read/reader.h"
 #include "formats/storage/cached_storage.h"
 #include "formats/storage/http_storage.h"
@@ -79,6 +80,29 @@ TEST_F(RemoteWorld, AFlightOverASlowLineEndsInTheStateOfOneFromTheDisk) {
   for (const auto& entry : std::filesystem::directory_iterator(folder_.path())) size_of_world += entry.file_size();
   EXPECT_LE(bytes, size_of_world);
   EXPECT_LE(bytes, 4 * far->stats().bytes_read) << "of strips";
+}
+
+TEST_F(RemoteWorld, WithoutAFolderForItsCacheAWorldTakesAsFewRequestsAsWithOne) {
+  formats::WebServer server;
+  server.addFolder(folder_.path());
+  std::atomic<uint64_t> of_index = 0;
+  server.spoil = [&](const formats::WebServer::Request& request, formats::WebServer::Reply&) { of_index += request.path.find(".index.") != std::string::npos; };
+  std::vector<uint64_t> requests;
+  std::vector<std::unique_ptr<formats::World>> worlds;
+  std::vector<std::unique_ptr<Streamer>> streamers;
+  for (const bool folder : {true, false}) {
+    const uint64_t before = server.requests, of_index_before = of_index;
+    worlds.push_back(open(server.address("/w.ffm"), folder ? cached() : formats::cachedStorage(formats::httpStorage(), {.folder = ""})));
+    streamers.push_back(start(*worlds.back()));
+    for (const int step : {0, 60, kSteps - 1}) settle(*streamers.back(), at(step));
+    requests.push_back(server.requests - before);
+    uint64_t pieces = 0;
+    for (const formats::ShardInfo& shard : worlds.back()->shards())
+      if (shard.kind == formats::kKindIndex) pieces += (shard.bytes + formats::kCachePiece - 1) / formats::kCachePiece;
+    EXPECT_LE(of_index - of_index_before, pieces);
+  }
+  expectSame(*streamers[0], *streamers[1]);
+  EXPECT_LE(requests[1], requests[0] + requests[0] / 4) << "which strips share a read is by chance";
 }
 
 TEST_F(RemoteWorld, NeighboursAreAskedForTogether) {
