@@ -1,4 +1,5 @@
-// A storage that counts how often one waits for it, as over a network: once for all that is brought together, and for each read of what was not brought.
+// A storage that counts how often one waits for it, as over a network: once for all that is brought together, and for each read of what neither was brought nor read before (by where
+// it begins).
 #pragma once
 #include <atomic>
 #include <mutex>
