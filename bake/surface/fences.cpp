@@ -12,6 +12,8 @@ namespace ff::bake {
 namespace {
 
 constexpr double kHairCells = 1e-3;
+constexpr double kLowCells = 0.1;     // what hangs lower over a surface parts it, too,
+constexpr double kLeastUnder = 0.05;  // of a cell's face: where its pieces are as large
 constexpr double kHairsOffBorder = 0.25;  // a fence so near a border stands on it
 constexpr size_t kMaxFences = 256, kMaxParts = 256;  // of a piece: past them, the longest fences count
 constexpr int kLooks = 8;  // along a border
@@ -48,6 +50,56 @@ bool fenceOf(const Plane& plane, const std::array<Point, 3>& corners, double hai
   fence->above = {crossing[0] - plane.normal * hair, crossing[1] - plane.normal * hair};
   fence->foot = {crossing[0] + run - plane.normal * foot, crossing[1] + run - plane.normal * foot};
   return true;
+}
+
+// An edge of a triangle that hangs over a surface, as far as it hangs lower than `low`. Where triangles lie on both sides of it, it bounds nothing.
+struct HangingEdge {
+  std::array<Point, 2> corners;      // of the triangle, in the order of their coordinates
+  bool left = false, right = false;  // of it the triangle lies, seen from above; neither: the triangle stands on end
+  Segment line;                      // in the surface's plane
+  bool sharesCorners(const HangingEdge& e) const { return key() == e.key(); }
+  std::array<double, 6> key() const { return {corners[0].x, corners[0].y, corners[0].z, corners[1].x, corners[1].y, corners[1].z}; }
+};
+
+void addEdges(const Plane& plane, const std::array<Point, 3>& corners, double low, std::vector<HangingEdge>& edges) {
+  std::array<double, 3> z;
+  for (size_t k = 0; k < 3; ++k) z[k] = plane.above(corners[k]) - low;
+  const auto onPlane = [&](const Point& p) { return p - plane.normal * plane.above(p); };
+  std::array<Point, 2> crossing;
+  size_t crossings = 0;
+  for (size_t k = 0; k < 3; ++k) {
+    size_t i = k, j = (k + 1) % 3;
+    if (std::tuple(corners[j].x, corners[j].y, corners[j].z) < std::tuple(corners[i].x, corners[i].y, corners[i].z)) std::swap(i, j);
+    if (z[i] >= 0 && z[j] >= 0) continue;
+    HangingEdge edge{{corners[i], corners[j]}, false, false, {corners[i], corners[j]}};
+    if (z[i] >= 0 || z[j] >= 0) {
+      const Point c = corners[i] + (corners[j] - corners[i]) * (z[i] / (z[i] - z[j]));
+      (z[i] >= 0 ? edge.line.a : edge.line.b) = c;
+      if (crossings < 2) crossing[crossings++] = c;
+    }
+    edge.line = {onPlane(edge.line.a), onPlane(edge.line.b)};
+    const Point along = onPlane(corners[j]) - onPlane(corners[i]), to = onPlane(corners[(k + 2) % 3]) - onPlane(corners[i]);
+    const double aside = dot(cross(along, to), plane.normal), level = 1e-6 * length(along) * length(to);
+    edge.left = aside > level;
+    edge.right = aside < -level;
+    edges.push_back(edge);
+  }
+  if (crossings == 2) edges.push_back({crossing, false, false, {onPlane(crossing[0]), onPlane(crossing[1])}});
+}
+
+// Leaves out those inside of what hangs there.
+void keepOutline(std::vector<HangingEdge>& edges) {
+  std::ranges::sort(edges, {}, &HangingEdge::key);
+  size_t kept = 0;
+  for (size_t k = 0, end = 0; k < edges.size(); k = end) {
+    bool left = false, right = false;
+    for (end = k; end < edges.size() && edges[end].sharesCorners(edges[k]); ++end) {
+      left |= edges[end].left;
+      right |= edges[end].right;
+    }
+    if (!left || !right) edges[kept++] = edges[k];
+  }
+  edges.resize(kept);
 }
 
 // Only what reaches from border to border, or is part of a ring, parts a polygon: whatever has fewer than two contacts goes,
@@ -133,7 +185,7 @@ void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Polygo
 
 struct Fences::Found {
   std::vector<Segment> fences;  // that may part it, the longest first; both sides'
-  bool fenced[2] = {}, close[2] = {};  // close: something may lie on it
+  bool fenced[2] = {}, close[2] = {}, low[2] = {};  // close: something may lie on it; low: or hang low over it
 };
 
 Vec3 Fences::metres(Point p) const { return vec3Of(p * cell_m_); }
@@ -147,6 +199,8 @@ std::array<Point, 3> Fences::cornersOf(uint32_t triangle) const {
 double Fences::hairOf(uint32_t triangle) const {
   return std::max(kHairCells, 4 * static_cast<double>(caster_.surfaceOffset(triangle)) / cell_m_);
 }
+
+double Fences::lowOf(uint32_t triangle) const { return std::max(kLowCells, hairOf(triangle)); }
 
 double Fences::touchOf(uint32_t triangle) const { return 0.1 * static_cast<double>(caster_.surfaceOffset(triangle)) / cell_m_; }
 
@@ -167,9 +221,11 @@ Fences::Found Fences::find(const Piece& piece) const {
       lo[a] = std::min(lo[a], p[a]);
       hi[a] = std::max(hi[a], p[a]);
     }
-  const double radius = length(hi - lo) / 2 + 2 * hair, eps = kHairsOffBorder * hair;
+  const bool is_large = length(vectorArea(piece.polygon)) >= kLeastUnder;
+  const double low = lowOf(piece.triangle), radius = length(hi - lo) / 2 + (is_large ? std::max(low, 2 * hair) : 2 * hair), eps = kHairsOffBorder * hair;
   const int sides = patchedSides(scene_.materials[scene_.triangles[piece.triangle].material]);
   std::vector<uint32_t> near;
+  std::array<std::vector<HangingEdge>, 2> hanging;
   caster_.near(metres((lo + hi) * 0.5), static_cast<float>(radius * cell_m_), near);
   for (const uint32_t u : near) {
     if (u == piece.triangle) continue;
@@ -188,6 +244,11 @@ Fences::Found Fences::find(const Piece& piece) const {
       }
       const std::array<double, 3> z{plane.above(corners[0]), plane.above(corners[1]), plane.above(corners[2])};
       const auto [least, most] = std::minmax({z[0], z[1], z[2]});
+      if (is_large && least >= hair && least < low) {
+        found.low[side] = true;
+        addEdges(plane, corners, low, hanging[static_cast<size_t>(side)]);
+        continue;
+      }
       if (!(most < hair && most > touch && least > -touch)) continue;
       found.close[side] = true;
       for (size_t k = 0; k < 3; ++k) {
@@ -198,10 +259,25 @@ Fences::Found Fences::find(const Piece& piece) const {
       }
     }
   }
-  std::sort(found.fences.begin(), found.fences.end(), [](const Segment& s, const Segment& t) {
-    const auto key = [](const Segment& x) { return std::tuple(-length(x.b - x.a), x.a.x, x.a.y, x.a.z, x.b.x, x.b.y, x.b.z); };
-    return key(s) < key(t);
-  });
+  const auto sortLongestFirst = [](std::span<Segment> some) {
+    std::sort(some.begin(), some.end(), [](const Segment& s, const Segment& t) {
+      const auto key = [](const Segment& x) { return std::tuple(-length(x.b - x.a), x.a.x, x.a.y, x.a.z, x.b.x, x.b.y, x.b.z); };
+      return key(s) < key(t);
+    });
+  };
+  sortLongestFirst(found.fences);
+  const size_t standing = found.fences.size();
+  for (size_t side = 0; side < 2; ++side) {
+    keepOutline(hanging[side]);
+    for (const HangingEdge& edge : hanging[side]) {
+      Segment reached = edge.line, line = edge.line;
+      if (!(length(line.b - line.a) > eps) || !clipInside(piece.polygon, normal, -eps, reached)) continue;
+      found.fenced[side] = true;
+      Segment inside = line;
+      if (clipInside(piece.polygon, normal, eps, inside) && clipInside(piece.polygon, normal, 0, line) && length(line.b - line.a) > eps) found.fences.push_back(line);
+    }
+  }
+  sortLongestFirst(std::span(found.fences).subspan(standing));
   if (found.fences.size() > kMaxFences) found.fences.resize(kMaxFences);
   dropDangling(piece.polygon, 2 * hair, found.fences);
   return found;
@@ -211,6 +287,7 @@ void Fences::cut(const Piece& whole, PieceList& out) const {
   const Found found = find(whole);
   Piece piece = whole;
   std::copy_n(found.fenced, 2, piece.fenced);
+  std::copy_n(found.low, 2, piece.low);
   std::vector<PolygonPart> parts{{Polygon(piece.polygon.begin(), piece.polygon.end())}};
   if (!found.fences.empty()) {
     const Point normal = normalOf(piece.triangle);
@@ -224,7 +301,8 @@ void Fences::cut(const Piece& whole, PieceList& out) const {
     Piece leaf = piece;
     leaf.polygon = parts[i].polygon;
     for (int side = 0; side < 2; ++side)
-      leaf.covered[side] = found.close[side] && isCovered(piece.triangle, side == 1, middle(leaf.polygon));
+      leaf.covered[side] = (found.close[side] && isCovered(piece.triangle, side == 1, middle(leaf.polygon))) ||
+                           (found.low[side] && isUnder(piece.triangle, side == 1, middle(leaf.polygon)));
     leaves.push_back(std::move(leaf));
   }
   // Parts that belong together on both sides are one again where they came from one cut.
@@ -271,26 +349,31 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
     Point eye(Point p) const { return at + along * dot(p - at, along) + lift; }
   };
   const double hair = std::max(hairOf(a.piece->triangle), hairOf(b.piece->triangle));
-  const auto rim = [&](PieceSide s, size_t side) {
+  const auto rim = [&](PieceSide s, size_t side, double height) {
     const PolygonView p = s.piece->polygon;
     const Point normal = normalOf(s.piece->triangle), edge = p[(side + 1) % p.size()] - p[side];
     const Point along = edge * (1 / length(edge));
-    return Rim{p[side], along, cross(normal, along) * (hair / 2) + normal * (s.back ? -hair : hair)};
+    return Rim{p[side], along, cross(normal, along) * (hair / 2) + normal * (s.back ? -height : height)};
   };
-  const Rim of_a = rim(a, shared.side_p), of_b = rim(b, shared.side_q);
   const Point edge = shared.line.b - shared.line.a;
   const double l = length(edge);
-  const auto seen = [&](double at) {
-    const Point p = shared.line.a + edge * std::clamp(at, 0.0, 1.0);
-    const Vec3 from = metres(of_a.eye(p)), to = metres(of_b.eye(p));
-    const float way = ff::length(to - from);
-    return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+  const auto seesAcross = [&](double height) {
+    const Rim of_a = rim(a, shared.side_p, height), of_b = rim(b, shared.side_q, height);
+    const auto seen = [&](double at) {
+      const Point p = shared.line.a + edge * std::clamp(at, 0.0, 1.0);
+      const Vec3 from = metres(of_a.eye(p)), to = metres(of_b.eye(p));
+      const float way = ff::length(to - from);
+      return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+    };
+    for (int k = 0; k < kLooks; ++k) {
+      const double at = (k + 0.5) / kLooks;
+      if (seen(at) && seen(at - hair / l) && seen(at + hair / l)) return true;  // and not through a slit
+    }
+    return false;
   };
-  for (int k = 0; k < kLooks; ++k) {
-    const double at = (k + 0.5) / kLooks;
-    if (seen(at) && seen(at - hair / l) && seen(at + hair / l)) return true;  // and not through a slit
-  }
-  return false;
+  if (!seesAcross(hair)) return false;
+  if (a.piece->covered[a.back] || !(a.piece->low[a.back] || b.piece->low[b.back])) return true;
+  return seesAcross(std::max(lowOf(a.piece->triangle), lowOf(b.piece->triangle)));
 }
 
 bool Fences::sees(PieceSide a, PieceSide b) const {
@@ -320,6 +403,12 @@ bool Fences::hides(PieceSide of, const Point& eye, const Point& to) const {
     if (dot(cross(normal, side), crossing - piece.polygon[i]) < margin * length(side)) return false;
   }
   return true;
+}
+
+bool Fences::isUnder(uint32_t triangle, bool back, Point point) const {
+  const Point up = normalOf(triangle) * (back ? -1.0 : 1.0);
+  const double hair = hairOf(triangle);
+  return caster_.occluded({metres(point + up * hair), vec3Of(up)}, static_cast<float>((lowOf(triangle) - hair) * cell_m_));
 }
 
 bool Fences::isCovered(uint32_t triangle, bool back, Point point) const {

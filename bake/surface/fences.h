@@ -3,6 +3,7 @@
 // Light may differ on the two sides of such a *fence*, so no patch may reach across one. Pieces are cut along the lines where
 // other surfaces meet them; then those that see each other a hair above the surface belong together again, so that only true
 // partitions part. A hair is a thousandth of a cell, or what rounding asks for: a gap narrower than that counts as closed.
+// What hangs *low*, less than a tenth of a cell above a surface, parts it as well: next to no light gets under a door, or behind a moulding, a picture.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -23,7 +24,8 @@ struct Piece {
   PolygonView polygon;  // in units of base cells, seen from the triangle's front; whoever makes a piece keeps its corners
   // Of the front and the back:
   bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
-  bool covered[2] = {};  // another surface lies on it, less than a hair away
+  bool covered[2] = {};  // another surface lies on it, less than a hair away, or hangs low over it
+  bool low[2] = {};      // something may hang low over it or at its border
 };
 
 // Pieces with their corners, as many as a world has.
@@ -85,7 +87,10 @@ class Fences {
   bool hides(PieceSide of, const Point& eye, const Point& to) const;
   std::array<Point, 3> cornersOf(uint32_t triangle) const;
   Point normalOf(uint32_t triangle) const;
+  // Whether another surface hangs low over a triangle's side at a point of it (cells), a hair off or more.
+  bool isUnder(uint32_t triangle, bool back, Point point) const;
   double hairOf(uint32_t triangle) const;   // cells
+  double lowOf(uint32_t triangle) const;    // cells
   double touchOf(uint32_t triangle) const;  // nearer than this, cells, two surfaces are one
   Vec3 metres(Point p) const;
 

@@ -191,6 +191,53 @@ TEST(Partitions, AWallPartsASeamNarrowerThanAHair) {
   }
 }
 
+// Areas of a floor's patches, ascending: of one cell, with something over it.
+std::vector<float> floorUnder(const std::function<void(Scene&, uint32_t)>& add) {
+  Scene s;
+  const uint32_t m = addMaterial(s, {.5f, .5f, .5f}), sheet = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[sheet].double_sided = true;
+  addQuad(s, {0, .5f, 0}, {0, .5f, 1}, {1, .5f, 1}, {1, .5f, 0}, m);
+  add(s, sheet);
+  const auto caster = RayCaster::create(s);
+  const auto set = makePatches(s, {.cell_m = 1}, &*caster);
+  std::vector<float> areas;
+  for (const Patch& p : set->patches)
+    if (p.orientation == 2 && p.centroid.y < .5f + 1e-4f) areas.push_back(p.area_m2);
+  std::sort(areas.begin(), areas.end());
+  return areas;
+}
+
+// A door, or a moulding with a slit behind it; what hangs higher, as a table does, does not part a floor.
+TEST(Partitions, WhatHangsLowOverAFloorPartsIt) {
+  constexpr float kAt = 0.3f;
+  for (const float gap : {0.003f, 0.02f, 0.2f}) {
+    const std::vector<float> sheet = floorUnder([&](Scene& s, uint32_t m) {
+      addQuad(s, {kAt, .5f + gap, 0}, {kAt, .5f + gap, 1}, {kAt, .9f, 1}, {kAt, .9f, 0}, m);
+    });
+    const std::vector<float> board = floorUnder([&](Scene& s, uint32_t m) { addBlock(s, {kAt, .5f + gap, -1}, {2, 1.5f, 2}, m); });
+    for (const std::vector<float>& areas : {sheet, board}) {
+      ASSERT_EQ(areas.size(), gap < 0.1f ? 2u : 1u) << gap;
+      EXPECT_NEAR(areas[0], gap < 0.1f ? kAt : 1, 1e-3f) << gap;
+      EXPECT_NEAR(areas.back(), gap < 0.1f ? 1 - kAt : 1, 1e-3f) << gap;
+    }
+  }
+}
+
+// A mesh that hangs low bounds what is under it, not what its own edges part; a stick that ends half way parts nothing.
+TEST(Partitions, WhatHangsLowPartsAFloorByItsOutlineAlone) {
+  const std::vector<float> mesh = floorUnder([&](Scene& s, uint32_t m) {
+    constexpr int kSide = 8;
+    const auto at = [](int i, int k) { return Vec3{.25f + .5f * static_cast<float>(i) / kSide, .51f, .25f + .5f * static_cast<float>(k) / kSide}; };
+    for (int i = 0; i < kSide; ++i)
+      for (int k = 0; k < kSide; ++k) addQuad(s, at(i, k), at(i, k + 1), at(i + 1, k + 1), at(i + 1, k), m);
+  });
+  ASSERT_EQ(mesh.size(), 2u);
+  EXPECT_NEAR(mesh[0], .25f, 1e-3f);
+  EXPECT_NEAR(mesh[1], .75f, 1e-3f);
+  const std::vector<float> stick = floorUnder([&](Scene& s, uint32_t m) { addQuad(s, {.3f, .51f, 0}, {.3f, .51f, .5f}, {.3f, .9f, .5f}, {.3f, .9f, 0}, m); });
+  ASSERT_EQ(stick.size(), 1u);
+}
+
 TEST(Partitions, FeetAndGrassDoNotMakeAFloorSmaller) {
   // Four feet of 4 cm and 200 blades on one cell of floor: one patch, less what is under the feet.
   Scene s;
