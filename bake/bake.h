@@ -35,7 +35,7 @@ struct BakeEstimate {
 
 struct BakeSettings {
   float cell_m = 0;               // patch size; 0: chosen from patch_budget
-  uint32_t patch_budget = 60000;  // used when cell_m is 0
+  uint64_t patch_budget = 60000;  // used when cell_m is 0
   uint32_t rays = 4096;           // per patch, 1..65535; with a target_error the most; more go towards lamps and where little sky is seen
   float target_error = 0;         // of the light that rays bring 99 of 100 patches, at most, relative (light/row_error.h); 0: all patches cast `rays`
   uint32_t quanta = 512;          // Q of a patch's row, at least, 1..65535: row_samples.h; clusters have kClusterQuanta of it

@@ -15,6 +15,7 @@
 #include "bake/rays/sobol.h"
 #include "bake/rays/surface_sampling.h"
 #include "bake/surface/fineness.h"
+#include "bake/surface/patches.h"
 #include "formats/storage/storage.h"
 
 namespace ff::bake {
@@ -75,7 +76,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
     const Material& material = scene.materials[scene.triangles[t].material];
     area += static_cast<double>(triangleArea(scene, t)) * patchedSides(material) / faceCells(finenessOf(material.density));
   }
-  e.cell_m = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / std::max(1u, settings.patch_budget));
+  e.cell_m = settings.cell_m > 0 ? static_cast<double>(settings.cell_m) : std::sqrt(area / static_cast<double>(std::max<uint64_t>(1, settings.patch_budget)));
   std::array<DistinctKeys, 2> small;  // cells and orientations of triangles smaller than a cell, which share patches; by sides
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const auto& v = scene.triangles[t].v;
@@ -105,7 +106,7 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
       small[static_cast<size_t>(sides) - 1].add(mix64(key));
     }
   }
-  e.patches = settings.cell_m == 0 ? settings.patch_budget : e.patches + small[0].count() + 2 * small[1].count();
+  e.patches = settings.cell_m == 0 ? static_cast<double>(settings.patch_budget) : e.patches + small[0].count() + 2 * small[1].count();
   const unsigned cores = std::max(1u, settings.threads > 0 ? static_cast<unsigned>(settings.threads) : std::thread::hardware_concurrency());
   const double rays = raysOf(settings);
   e.least_memory_bytes = kLeastBytes + cores * kLeastAThread + e.patches * kLeastAPatch;
@@ -118,19 +119,23 @@ BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings) {
 
 Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& e) {
   const double free = allowed(settings);
-  if (e.least_memory_bytes <= free) return {};
-  std::string remedy = "allow more";
+  const auto areTooMany = [&](double cell_m) { return fewestPieces(scene, cell_m) > kMostPieces; };
+  const bool too_many = areTooMany(e.cell_m);
+  if (!too_many && e.least_memory_bytes <= free) return {};
+  std::string remedy = too_many ? "bake parts of the scene as worlds of their own" : "allow more";
   BakeSettings larger = settings;
   larger.cell_m = static_cast<float>(e.cell_m);
   const bool by_patches = e.least_memory_bytes - e.patches * kLeastAPatch <= 0.8 * free;
   for (int doubled = 0; by_patches && doubled < 10; ++doubled) {
     larger.cell_m *= 2;
-    if (estimateBake(scene, larger).least_memory_bytes > 0.8 * free) continue;
+    if (areTooMany(static_cast<double>(larger.cell_m)) || estimateBake(scene, larger).least_memory_bytes > 0.8 * free) continue;
     char size[32];
     std::snprintf(size, sizeof size, "%.3g", static_cast<double>(larger.cell_m));
     remedy = settings.cell_m > 0 ? std::string("use --patch-size ") + size + " or larger, or a --patch-budget" : "use a smaller --patch-budget";
     break;
   }
+  if (too_many)
+    return Error{ErrorCode::kUsage, scene.name, "", "about " + rounded(e.patches) + " patches are more than a bake makes, which cuts surface into " + rounded(kMostPieces) + " pieces at most", std::move(remedy)};
   return Error{ErrorCode::kUsage, scene.name, "",
                "about " + rounded(e.patches) + " patches need " + rounded(e.least_memory_bytes, "B") + " of memory at least, of which " + rounded(free, "B") + (settings.memory_bytes > 0 ? " may be used" : " are free"),
                std::move(remedy)};

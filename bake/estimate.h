@@ -10,7 +10,7 @@ namespace ff::bake {
 // From areas and boxes alone, in one pass over the triangles. cell_m: the patch size; 0: as the budget asks.
 BakeEstimate estimateBake(const Scene& scene, const BakeSettings& settings);
 
-// Refuses (kUsage) a bake that takes more than settings.memory_bytes, or than what is free where that is 0, whatever it puts into files; says which size would
+// Refuses (kUsage) a bake of more pieces than kMostPieces (patches.h), and one that takes more than settings.memory_bytes, or than what is free where that is 0, whatever it puts into files; says which size would
 // take less.
 Result<void> checkFits(const Scene& scene, const BakeSettings& settings, const BakeEstimate& estimate);
 

@@ -17,6 +17,7 @@ inline constexpr uint32_t kMaxLevels = 16;
 inline constexpr uint32_t kMaxQuanta = 65535;        // counts are u16
 inline constexpr uint32_t kMaxRowFactor = 8;          // a row may have so many times the samples of the world's settings
 inline constexpr uint32_t kNoParent = 0xffffffffu;
+inline constexpr uint64_t kMaxLevelTiles = 0xfffffffeu;  // numbers of tiles have 32 bits in memory; those of nodes 64
 inline constexpr uint16_t kNoLampGroup = 0xffff;
 inline constexpr uint64_t kShardHeaderBytes = 4096;
 inline constexpr uint32_t kNoShard = 0xffffffffu;
@@ -58,7 +59,6 @@ struct Node {
   Vec3 albedo;               // diffuse, 0..1, linear RGB
   Vec3 emission;             // M, radiosity emitted as baked, W/m2, linear RGB, 0..kMaxEmission
   uint16_t lamp_group = kNoLampGroup;  // whose switch scales the emission; nodes of two groups never share a parent
-  uint32_t parent = kNoParent;  // node number at level + 1
   // The row's closure: sum of the entries' counts + sky + absorbed == quanta, exactly.
   uint32_t quanta = 0;       // Q of this row: at most maxRowQuanta(WorldInfo::quanta)
   uint32_t sky = 0;          // quanta that reach the sky: they close the row; its light is told by sky_fraction
@@ -92,7 +92,7 @@ struct Block {
 // and `counts`. Form factor of an entry: F = count / nodes[row].quanta, receiver = row, source = column.
 struct Strip {
   TileId id;
-  uint32_t first_node = 0;        // number of nodes[0] within its level
+  uint64_t first_node = 0;        // number of nodes[0] within its level
   std::vector<Node> nodes;        // 1..kTileNodes
   std::vector<Block> blocks;      // partner_tile ascending, entries > 0
   std::vector<uint8_t> rows;      // index into nodes
@@ -139,7 +139,7 @@ struct Extent {
 struct TileInfo {
   TileId id;
   Extent strip;                  // header and compressed payload
-  uint32_t first_node = 0;       // number within the level, in the order of tiles
+  uint64_t first_node = 0;       // number within the level, in the order of tiles
   uint32_t nodes = 0;
   uint32_t entries = 0;
   uint32_t parent_tile = kNoParent;  // tile of the level above that holds the parents of all of its nodes
@@ -154,7 +154,7 @@ struct GeometryInfo {
 };
 
 struct LevelInfo {
-  uint32_t nodes = 0;
+  uint64_t nodes = 0;
   uint32_t tiles = 0;
   uint64_t entries = 0;
   uint64_t stored_bytes = 0;     // strips, and the index of their chunks

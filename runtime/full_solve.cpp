@@ -50,7 +50,7 @@ void append(const formats::WholeWorld& world, const formats::Strip& strip, Rows&
   rows.counts.resize(base + strip.rows.size());
   size_t k = 0;
   for (const formats::Block& block : strip.blocks) {
-    const uint32_t first = world.tiles(0)[block.partner_tile].first_node;
+    const uint32_t first = formats::wholeNumber(world.tiles(0)[block.partner_tile].first_node);
     for (const size_t end = k + block.entries; k < end; ++k) {
       const uint64_t at = cursor[strip.rows[k]]++;
       rows.columns[at] = first + strip.columns[k];
@@ -111,7 +111,7 @@ Result<std::vector<double>> fullSource(const formats::WholeWorld& world, std::sp
 
 Result<FullSolution> solveFullWorld(const formats::WholeWorld& world, std::span<const double> source,
                                     const FullSolveSettings& settings) {
-  const uint32_t patches = world.levels()[0].nodes;
+  const uint32_t patches = formats::wholeNumber(world.levels()[0].nodes);
   FF_CHECK_EQ(source.size(), size_t{3} * patches);
   Rows rows;
   rows.columns.reserve(world.levels()[0].entries);

@@ -14,7 +14,7 @@ namespace ff::stream {
 
 struct ResidentStrip : formats::RowWords {  // a run's partner: index into `partners`
   formats::TileId id;
-  uint32_t first_node = 0;  // number of nodes[0] within its level
+  uint64_t first_node = 0;  // number of nodes[0] within its level
   formats::TileRef tile;    // where it stands in the world's index
   std::vector<formats::Node> nodes;
   struct Partner {

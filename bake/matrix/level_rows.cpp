@@ -18,7 +18,6 @@ void fields(Bytes& b, NodeRowT& n) {
   b.vec3(n.node.albedo);
   b.vec3(n.node.emission);
   b.u16(n.node.lamp_group);
-  b.u32(n.node.parent);
   b.box(n.bounds);
   for (auto& x : n.direct) b.f32(x);
   b.f64(n.row.sky_m2);

@@ -99,7 +99,6 @@ PagedVector<LightValues> poolPatches(const PatchRowSource& source, const Hierarc
           row.node.albedo = patch.albedo;
           row.node.emission = patch.emission;
           row.node.lamp_group = patch.lamp_group;
-          if (h.levels() > 1) row.node.parent = h.parents[0][i];
           row.bounds = patch.bounds;
           pooled.row(i, row.row);
           row.direct = directLight(row.row, patch.area_m2, source.sun[p]);

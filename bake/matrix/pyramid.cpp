@@ -333,7 +333,6 @@ PagedVector<LightValues> gatherClusters(const LevelRows& below, std::span<const 
           area += siblings.back()->node.area_m2;
         }
         NodeRow& row = rows[parent - tiles[t]] = gathered(siblings, parents, sums);
-        if (level + 1 < h.levels()) row.node.parent = h.parents[level][parent];
         for (; k < end; ++k) {
           const NodeRow& child = children[by_parent[k].second];
           const float share = child.node.area_m2 / area;

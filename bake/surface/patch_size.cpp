@@ -41,13 +41,13 @@ float latticeOf(const Scene& scene, float finest_m) {
   return all ? spacing : 0;
 }
 
-Result<PatchSet> patchesWithin(uint32_t budget, const Scene& scene, PatchSettings settings, const RayCaster& caster) {
+Result<PatchSet> patchesWithin(uint64_t budget, const Scene& scene, PatchSettings settings, const RayCaster& caster) {
   double area = 0;
   for (uint32_t t = 0; t < scene.triangles.size(); ++t) {
     const Material& material = scene.materials[scene.triangles[t].material];
     area += static_cast<double>(triangleArea(scene, t)) * (material.double_sided ? 2 : 1) / faceCells(finenessOf(material.density));
   }
-  double cell = std::sqrt(area / budget);
+  double cell = std::sqrt(area / static_cast<double>(budget));
   const float lattice = latticeOf(scene, static_cast<float>(cell / 8));
   if (lattice > 0) cell = alignedWith(lattice, cell);
   bool look = false;  // for what is enclosed: takes longer, so only when the size is about right
@@ -55,7 +55,7 @@ Result<PatchSet> patchesWithin(uint32_t budget, const Scene& scene, PatchSetting
     settings.cell_m = static_cast<float>(cell);
     auto set = makePatches(scene, settings, look ? &caster : nullptr);
     if (!set) return set;
-    const double ratio = static_cast<double>(set->patches.size()) / budget;
+    const double ratio = static_cast<double>(set->patches.size()) / static_cast<double>(budget);
     const bool met = ratio < 1.1 && ratio > 0.9;
     if (look && (met || attempt >= 3)) return set;
     look = met || attempt >= 2;

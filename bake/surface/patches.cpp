@@ -73,17 +73,11 @@ class PatchBuilder {
     constexpr size_t kChunk = 1024, kTogether = 64;
     const size_t n = scene_.triangles.size(), chunks = (n + kChunk - 1) / kChunk;
     if (settings_.done) settings_.done->expect(n);
-    // An upper bound of the pieces, so that a tiny patch size ends in a message and not in swapping.
-    double bound = 0;
-    const double s = static_cast<double>(settings_.cell_m);
     set_.fineness_.resize(n);
-    for (uint32_t t = 0; t < n; ++t) {
-      set_.fineness_[t] = static_cast<int8_t>(finenessOf(scene_, t));
-      bound += 1 + static_cast<double>(triangleArea(scene_, t)) / (s * s * faceCells(set_.fineness_[t]));
-    }
-    if (bound > kMostPieces)
+    for (uint32_t t = 0; t < n; ++t) set_.fineness_[t] = static_cast<int8_t>(finenessOf(scene_, t));
+    if (const double pieces = fewestPieces(scene_, static_cast<double>(settings_.cell_m)); pieces > kMostPieces)
       return Error{ErrorCode::kUsage, scene_.name, "",
-                   "this patch size would make about " + std::to_string(static_cast<uint64_t>(bound)) + " pieces",
+                   "this patch size would make about " + std::to_string(static_cast<uint64_t>(pieces)) + " pieces",
                    "use a larger --patch-size"};
     // Surfaces that stand on each other are cut where they meet, into how many is not known before.
     std::atomic<uint64_t> made{0};
@@ -291,6 +285,13 @@ class PatchBuilder {
   Labels labels_;
   PatchSet set_;
 };
+
+double fewestPieces(const Scene& scene, double cell_m) {
+  double pieces = 0;
+  for (uint32_t t = 0; t < scene.triangles.size(); ++t)
+    pieces += 1 + static_cast<double>(triangleArea(scene, t)) / (cell_m * cell_m * faceCells(finenessOf(scene, t)));
+  return pieces;
+}
 
 Result<PatchSet> makePatches(const Scene& scene, const PatchSettings& settings, const RayCaster* caster) {
   return PatchBuilder(scene, settings, caster).build();

@@ -118,6 +118,8 @@ class PatchSet {
 };
 
 inline constexpr double kMostPieces = 5e8;
+// Of one grid of cells: surface alone, no cuts where surfaces meet.
+double fewestPieces(const Scene& scene, double cell_m);
 
 struct PatchSettings {
   float cell_m = 1;

@@ -18,9 +18,6 @@ Error broken(uint32_t level, const ChunkCell& cell, const std::string& message) 
 
 bool isBox(const Box& box) { return !box.empty() && std::isfinite(length(box.hi - box.lo)) && std::isfinite(length(box.lo)); }
 
-// The counts' sum at each level must fit the numbers that memory has for tiles and nodes.
-constexpr uint64_t kMaxNumber = 0xfffffffeu;
-
 void readCounts(ByteReader& r, uint32_t levels, std::vector<LevelCount>& counts) {
   counts.resize(levels);
   for (LevelCount& c : counts) r.u64(c.tiles), r.u64(c.nodes);
@@ -35,7 +32,7 @@ const char* faultOf(const ChildChunk& child) {
   if (child.record.stored_bytes == 0 || child.record.raw_bytes < kChunkHeaderBytes || child.record.raw_bytes > kMaxChunkRawBytes) return "has a child of an impossible size";
   if (!isBox(child.bounds)) return "has a child with bounds that cannot be";
   for (const LevelCount& c : child.counts)
-    if (c.tiles < 1 || c.nodes < c.tiles || c.nodes > kMaxNumber) return "has a child with numbers of tiles and nodes that cannot be";
+    if (c.tiles < 1 || c.tiles > kMaxLevelTiles || c.nodes < c.tiles || c.nodes > kTileNodes * c.tiles) return "has a child with numbers of tiles and nodes that cannot be";
   return nullptr;
 }
 
@@ -165,7 +162,7 @@ Result<ChunkPtr> decodeChunk(const WorldInfo& world, const ChunkPtr& parent, uin
     c.parent_index.resize(nodes);
     r.bytes(c.parent_index);  // steps, until they are added up
     for (const TileInfo& tile : c.tiles)
-      for (uint32_t first = tile.first_node - c.firstNode(), i = 1; i < tile.nodes; ++i)
+      for (uint64_t first = tile.first_node - c.firstNode(), i = 1; i < tile.nodes; ++i)
         c.parent_index[first + i] = static_cast<uint8_t>(c.parent_index[first + i] + c.parent_index[first + i - 1]);
   }
   std::vector<LevelCount> counts(c.level + 1);

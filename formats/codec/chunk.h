@@ -47,7 +47,7 @@ struct Chunk : std::enable_shared_from_this<Chunk> {
   ChunkPtr parent;                     // of the coarsest level's chunks: the root, which has no tiles and lies one level higher
 
   uint32_t firstTile() const { return static_cast<uint32_t>(first[level].tiles); }
-  uint32_t firstNode() const { return static_cast<uint32_t>(first[level].nodes); }
+  uint64_t firstNode() const { return first[level].nodes; }
   bool isTop() const { return parent_index.empty(); }
   // By node of a tile: the part of parent_index.
   std::span<const uint8_t> parentIndexOf(uint32_t tile) const {

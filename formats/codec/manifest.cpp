@@ -102,12 +102,12 @@ Result<void> readLevels(const Section& s, float cell_m, std::vector<LevelInfo>& 
   for (size_t l = 0; l < n; ++l) {
     LevelRecord x;
     LevelRecord::fields(r, x);
-    if (x.nodes < 1 || x.tiles < 1 || x.tiles > x.nodes) return broken(s.record.offset, "level holds a value that cannot be");
-    if (x.nodes >= kNoParent)
+    if (x.tiles > kMaxLevelTiles)
       return Error{ErrorCode::kInvalidFile, "", "offset " + std::to_string(s.record.offset),
-                   "level " + std::to_string(l) + " has " + std::to_string(x.nodes) + " nodes, this reader numbers 4294967294 at most",
+                   "level " + std::to_string(l) + " has " + std::to_string(x.tiles) + " tiles, this reader numbers " + std::to_string(kMaxLevelTiles) + " at most",
                    "use a newer Formfield, or larger patches"};
-    levels.push_back({static_cast<uint32_t>(x.nodes), static_cast<uint32_t>(x.tiles), x.entries, x.stored_bytes, std::ldexp(cell_m, static_cast<int>(l))});
+    if (x.tiles < 1 || x.tiles > x.nodes || x.nodes > kTileNodes * x.tiles) return broken(s.record.offset, "level holds a value that cannot be");
+    levels.push_back({x.nodes, static_cast<uint32_t>(x.tiles), x.entries, x.stored_bytes, std::ldexp(cell_m, static_cast<int>(l))});
   }
   return finished(r, s);
 }

@@ -253,7 +253,7 @@ Result<TileRef> World::tile(TileId id) const {
   return TileRef{std::move(*chunk), index};
 }
 
-Result<TileRef> World::tileOfNode(uint32_t level, uint32_t node) const {
+Result<TileRef> World::tileOfNode(uint32_t level, uint64_t node) const {
   if (level >= levels().size() || node >= levels()[level].nodes)
     return Error{ErrorCode::kUsage, state_->path, "", "has no node " + std::to_string(node) + " of level " + std::to_string(level), "see ffinspect info"};
   auto chunk = chunkWith(level, &LevelCount::nodes, node);
@@ -264,7 +264,7 @@ Result<TileRef> World::tileOfNode(uint32_t level, uint32_t node) const {
 }
 
 // Down the tree, by the counts of what lies in each child. The number is that of a tile or node of the level.
-Result<ChunkPtr> World::chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const {
+Result<ChunkPtr> World::chunkWith(uint32_t level, uint64_t LevelCount::*what, uint64_t number) const {
   ChunkPtr at = root();
   while (at->level > level) {
     uint64_t before = at->first[level].*what;
@@ -347,11 +347,6 @@ Result<void> World::decodeStrip(const TileRef& tile, std::span<const std::byte> 
   if (auto ok = decodeStripBytes(info, s.manifest.info.quanta, stored, out, names, words); !ok) {
     s.forget(info.strip);
     return inShard(ok.error());
-  }
-  if (!tile.chunk->isTop()) {
-    const auto index = tile.parentIndex();
-    const uint32_t first = tile.parent().info().first_node;
-    for (uint32_t i = 0; i < info.nodes; ++i) out.nodes[i].parent = first + index[i];
   }
   const auto bad = [&](size_t block, const char* what) {
     return inShard({ErrorCode::kInvalidFile, "", "", "block " + std::to_string(block) + " " + what, kRemedy});

@@ -67,7 +67,7 @@ class World {
   // kUsage: there is no such tile.
   Result<TileRef> tile(uint32_t level, const TileName& name) const;
   // The tile that holds a node of a level, by number. kUsage: there is no such node.
-  Result<TileRef> tileOfNode(uint32_t level, uint32_t node) const;
+  Result<TileRef> tileOfNode(uint32_t level, uint64_t node) const;
   // The tiles whose parent tile is `tile`, of level - 1: they lie in one chunk. first, last + 1: numbers within it. level >= 1.
   struct Tiles {
     ChunkPtr chunk;
@@ -103,7 +103,7 @@ class World {
   Result<ChunkPtr> find(uint32_t level, const TileName& name, const ChunkPtr& from, std::vector<ChildRef>* absent) const;
   Result<ChunkPtr> search(ChunkPtr at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const;
   Result<size_t> findPartners(const TileRef& tile, std::span<const PartnerName> names, PartnerChunks& partners, const ReadOptions& options) const;
-  Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint32_t number) const;
+  Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint64_t number) const;
   std::unique_ptr<State> state_;
 };
 

@@ -8,10 +8,19 @@
 #include "formats/codec/records.h"
 
 namespace ff::formats {
+namespace {
+
+constexpr uint64_t kMaxNodes = 0xfffffffeu;  // of a level: arrays over them have numbers of 32 bits
+
+}  // namespace
 
 Result<WholeWorld> WholeWorld::open(const std::string& path, const StoragePtr& storage) try {
   auto opened = World::open(path, storage);
   if (!opened) return opened.error();
+  for (size_t l = 0; l < opened->levels().size(); ++l)
+    if (const uint64_t nodes = opened->levels()[l].nodes; nodes > kMaxNodes)
+      return Error{ErrorCode::kUsage, path, "", "level " + std::to_string(l) + " has " + std::to_string(nodes) + " nodes, and what reads a whole world numbers " + std::to_string(kMaxNodes) + " at most",
+                   "look at places of it: ffinspect info, locate, tile, row and pair, or the run time"};
   WholeWorld world(std::move(*opened));
   world.expectAll();
   if (auto ok = world.readChunks(); !ok) return ok.error();
@@ -43,7 +52,7 @@ Result<void> WholeWorld::readChunks() {
       parents.reserve(levels()[l].nodes);
       for (const ChunkPtr& chunk : chunks_[l])
         for (uint32_t t = 0; t < chunk->tiles.size(); ++t)
-          for (const uint8_t index : chunk->parentIndexOf(t)) parents.push_back(tiles_[l + 1][chunk->tiles[t].parent_tile].first_node + index);
+          for (const uint8_t index : chunk->parentIndexOf(t)) parents.push_back(wholeNumber(tiles_[l + 1][chunk->tiles[t].parent_tile].first_node + index));
       auto& [start, below] = children_[l + 1];
       start.assign(levels()[l + 1].nodes + 1, 0);
       for (const uint32_t p : parents) ++start[p + 1];
@@ -96,15 +105,15 @@ TileRef WholeWorld::ref(TileId id) const {
   return {chunk, id.tile - chunk->firstTile()};
 }
 
-uint32_t WholeWorld::tileOf(uint32_t level, uint32_t node) const {
+uint32_t WholeWorld::tileOf(uint32_t level, uint64_t node) const {
   const auto after = std::ranges::upper_bound(tiles_[level], node, {}, &TileInfo::first_node);
   return (after - 1)->id.tile;
 }
 
-uint32_t WholeWorld::parent(uint32_t level, uint32_t node) const {
+uint32_t WholeWorld::parent(uint32_t level, uint64_t node) const {
   if (level + 1 >= tiles_.size()) return kNoParent;
   const TileRef tile = ref({level, tileOf(level, node)});
-  return tile.parent().info().first_node + tile.parentIndex()[node - tile.info().first_node];
+  return wholeNumber(tile.parent().info().first_node + tile.parentIndex()[node - tile.info().first_node]);
 }
 
 }  // namespace ff::formats

@@ -594,23 +594,23 @@ const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint6
   return world ? world->tiles.data() : nullptr;
 }
 
-FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots) {
+FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint64_t first, uint32_t count, uint32_t* slots) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
-    const uint32_t patches = w.world().levels()[0].nodes;
+    const uint64_t patches = w.world().levels()[0].nodes;
     if (first > patches || count > patches - first) return usageError("patches", "reach past the world's last one");
     if (count > 0 && !slots) return usageError("slots", "is NULL");
     for (uint32_t i = 0; i < count;) {
       const auto tile = w.world().tileOfNode(0, first + i);
       if (!tile) return tile.error();
       w.shown->listed.insert(tile->chunk);
-      for (const uint32_t end = tile->info().first_node + tile->info().nodes; i < count && first + i < end; ++i)
-        slots[i] = w.shown->slots.slotOf(*tile, first + i - tile->info().first_node);
+      auto index = static_cast<uint32_t>(first + i - tile->info().first_node);
+      for (; i < count && index < tile->info().nodes; ++i, ++index) slots[i] = w.shown->slots.slotOf(*tile, index);
     }
     return {};
   });
 }
 
-FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node) {
+FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint64_t* node) {
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     const SlotRange* range = w.shown->slots.tileOf(slot);
     if (!range) return usageError("slot", "belongs to no active tile", "see formfieldTiles");

@@ -128,8 +128,8 @@ const char* formfieldReloadFailure(FormfieldWorld world);
 
 typedef struct FormfieldWorldInfo {
   uint32_t size;       /* sizeof(FormfieldWorldInfo) */
-  uint32_t patches;    /* level-0 nodes; patch numbers are below */
   uint32_t levels;
+  uint64_t patches;    /* level-0 nodes; patch numbers are below */
   float cell_m;        /* edge of the grid that patches were cut by */
   double origin[3];    /* m, in the scene's world space: where all positions in floats count from; zero but for scenes that stand far away */
   float lo[3], hi[3];  /* bounds, from the origin */
@@ -157,7 +157,7 @@ typedef struct FormfieldNode {
 /* Direct irradiance (sun, lamps of your own; not the sky, not what surfaces emit) of the nodes of one tile, W/m2, three floats a
  * node; of a cluster the area-weighted mean over its patches. Called from formfieldFrame when a tile becomes active and
  * after formfieldLightChanged. `irradiance` is zero beforehand. */
-typedef void (*FormfieldDirectLight)(void* user, uint32_t level, uint32_t tile, uint32_t first_node, uint32_t nodes,
+typedef void (*FormfieldDirectLight)(void* user, uint32_t level, uint32_t tile, uint64_t first_node, uint32_t nodes,
                                      const FormfieldNode* node, float* irradiance);
 
 /* NULL: no direct light but what formfieldSetDirectIrradiance sets. */
@@ -251,7 +251,7 @@ typedef struct FormfieldTile {
   int32_t chunk[3];     /* the tile's name: its chunk, a cube of 32 cells of its level, and its number within that; the same */
   uint32_t chunk_tile;  /* from bake to bake where nothing in the chunk changed */
   uint32_t first_slot;  /* slots of a tile are consecutive, in the order of its nodes */
-  uint32_t first_node;  /* number within the level */
+  uint64_t first_node;  /* number within the level */
   uint32_t nodes;
 } FormfieldTile;
 
@@ -260,9 +260,9 @@ typedef struct FormfieldTile {
 const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint64_t* change);
 /* Slot that lights a patch: its own, or that of the cluster that stands for it. Writes FORMFIELD_NO_SLOT before the first
  * frame. Patches first .. first + count - 1. May read the index of places where the observer was not yet, and keeps it. */
-FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint32_t first, uint32_t count, uint32_t* slots);
+FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint64_t first, uint32_t count, uint32_t* slots);
 /* Level and node of a slot. FORMFIELD_ERROR_USAGE for a slot of no tile. */
-FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint32_t* node);
+FormfieldResult formfieldSlotNode(FormfieldWorld world, uint32_t slot, uint32_t* level, uint64_t* node);
 
 /* ---- Statistics ---- */
 

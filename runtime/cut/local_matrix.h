@@ -38,12 +38,12 @@ inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of c
 struct SlotRange {
   formats::TileId id;
   uint32_t first_slot = 0;
-  uint32_t first_node = 0;
+  uint64_t first_node = 0;
   uint32_t nodes = 0;
 };
 
 // Slot of a node, kNoSlot if its tile is not among `tiles` (sorted). O(log tiles).
-uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node);
+uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint64_t node);
 // The slot that stands for node number `index` of a tile: its own, else its nearest ancestor's; kNoSlot where no tile of these is among `tiles`.
 uint32_t slotFor(std::span<const SlotRange> tiles, const formats::TileRef& tile, uint32_t index);
 
@@ -96,7 +96,7 @@ struct LocalMatrix {
     }
   }
   std::span<const uint32_t> row(uint32_t slot) const { return {entries.data() + row_start[slot], row_entries[slot]}; }
-  uint32_t slotOf(uint32_t level, uint32_t node) const { return runtime::slotOf(tiles, level, node); }
+  uint32_t slotOf(uint32_t level, uint64_t node) const { return runtime::slotOf(tiles, level, node); }
 };
 
 // Slots that any cut of a world can take.

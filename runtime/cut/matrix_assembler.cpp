@@ -550,7 +550,7 @@ void weighChildren(LocalMatrix& m) {
   }
 }
 
-uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node) {
+uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint64_t node) {
   auto after =
       std::upper_bound(tiles.begin(), tiles.end(), std::pair{level, node}, [](const auto& key, const SlotRange& r) {
         return key.first != r.id.level ? key.first < r.id.level : key.second < r.first_node;
@@ -558,7 +558,7 @@ uint32_t slotOf(std::span<const SlotRange> tiles, uint32_t level, uint32_t node)
   if (after == tiles.begin()) return kNoSlot;
   const SlotRange& range = *--after;
   if (range.id.level != level || node - range.first_node >= range.nodes) return kNoSlot;
-  return range.first_slot + (node - range.first_node);
+  return range.first_slot + static_cast<uint32_t>(node - range.first_node);
 }
 
 uint32_t slotFor(std::span<const SlotRange> tiles, const formats::TileRef& tile, uint32_t index) {

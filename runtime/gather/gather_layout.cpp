@@ -96,7 +96,7 @@ void GatherLayout::listTiles(const LocalMatrix& matrix) {
   };
   for (size_t t = 0; t < by_hand_.size() && !matrix.pages; ++t) {
     const auto nodes = static_cast<uint32_t>(by_hand_[t].row_start.size() - 1);
-    add({by_hand_[t].id, by_hand_[t].first_node, by_hand_[t].first_node, nodes}, by_hand_[t], all_pages_);
+    add({by_hand_[t].id, static_cast<uint32_t>(by_hand_[t].first_node), by_hand_[t].first_node, nodes}, by_hand_[t], all_pages_);
   }
   for (size_t t = 0; t < matrix.packed.size(); ++t)
     add(matrix.tiles[t], *matrix.packed[t].strip, matrix.packed[t].partner_pages);

@@ -335,7 +335,7 @@ int main(int argc, char** argv) {
 
   const Scene little = town(folder, small);
   const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1, .rays = rays}, (folder / "little.ffm").string()));
-  print("bake.cost_growth", (seconds / nodes) / (little_stats.seconds / little_stats.levels[0].nodes),
+  print("bake.cost_growth", (seconds / nodes) / (little_stats.seconds / static_cast<double>(little_stats.levels[0].nodes)),
         "ratio", 1,
         "seconds a patch at " + std::to_string(static_cast<uint64_t>(nodes)) + " patches over that at " +
             std::to_string(little_stats.levels[0].nodes));

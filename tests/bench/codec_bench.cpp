@@ -76,10 +76,10 @@ int measure(const WholeWorld& world, const std::string& scene) {
   }
   const LevelInfo& level = world.levels()[0];
   const std::string note = scene + ", " + std::to_string(static_cast<uint64_t>(entries)) + " entries, " +
-                           std::to_string(entries / level.nodes).substr(0, 5) + " a row";
+                           std::to_string(entries / static_cast<double>(level.nodes)).substr(0, 5) + " a row";
   print("codec.bytes_per_entry", static_cast<double>(level.stored_bytes) / entries, "B", nullptr,
         note + "; everything: rows, node records, headers, index");
-  print("codec.bytes_per_patch", static_cast<double>(level.stored_bytes) / level.nodes, "B", 190, note);
+  print("codec.bytes_per_patch", static_cast<double>(level.stored_bytes) / static_cast<double>(level.nodes), "B", 190, note);
 
   Strip out;
   const double decode = fastest([&] {

@@ -112,7 +112,7 @@ void printFixedDistances(const formats::WholeWorld& world, const Truth& truth, c
         const formats::Node& node = strip.nodes[i];
         const float away = length(node.centroid - eye);
         if (away > static_cast<float>(kDistances_m.back())) continue;
-        const uint32_t patch = strip.first_node + i, slot = slotFor(matrix.tiles, tile, i);
+        const uint32_t patch = formats::wholeNumber(strip.first_node + i), slot = slotFor(matrix.tiles, tile, i);
         // What its surface reflects, as its node in the cut is lit: 1 / albedo of reflected radiosity.
         const Vec4 b = radiosity[slot], rho = matrix.albedo[slot];
         const float shown[3] = {b.x, b.y, b.z}, albedo[3] = {rho.x, rho.y, rho.z};

@@ -101,7 +101,7 @@ struct Game {
     return settings;
   }
   // All there, by node: rows, light that arrives, and what twenty steps from darkness come to.
-  std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> state(const stream::Observers& at) {
+  std::map<std::pair<uint32_t, uint64_t>, std::vector<float>> state(const stream::Observers& at) {
     orExit(updater.frame(at, 1));
     orExit(streamer->settle());
     updater.awaitCut();
@@ -112,7 +112,7 @@ struct Game {
     orExit(solver->setRadiosity(light));
     orExit(solver->iterate(20));
     orExit(solver->radiosity(light));
-    std::map<std::pair<uint32_t, uint32_t>, std::vector<float>> state;
+    std::map<std::pair<uint32_t, uint64_t>, std::vector<float>> state;
     for (const runtime::SlotRange& range : m.tiles)
       for (uint32_t i = 0; i < range.nodes; ++i) {
         const uint32_t slot = range.first_slot + i;

@@ -42,7 +42,7 @@ void printTileApply(const std::string& world_path, bool quick) {
   constexpr uint32_t kObservers = 9;
   Times times;
   for (uint32_t k = 0; k < kObservers; ++k) {
-    const uint32_t patch = world.levels()[0].nodes / (2 * kObservers) * (2 * k + 1);
+    const uint64_t patch = world.levels()[0].nodes / (2 * kObservers) * (2 * k + 1);
     const formats::Strip strip = orExit(world.strip(formats::TileId{0, world.tileOf(0, patch)}));
     const formats::Node& node = strip.nodes[patch - strip.first_node];
     const auto streamer = orExit(stream::Streamer::create(world, {.hysteresis = 1.0f}));

@@ -4,7 +4,7 @@
 #include <stdio.h>
 
 /* Direct light: a lamp of 500 W at `user`, without shadows (an engine has its own). Inverse squares, Lambert's cosine. */
-static void lamp(void* user, uint32_t level, uint32_t tile, uint32_t first_node, uint32_t nodes, const FormfieldNode* node,
+static void lamp(void* user, uint32_t level, uint32_t tile, uint64_t first_node, uint32_t nodes, const FormfieldNode* node,
                  float* irradiance) {
   const float* at = user;
   (void)level, (void)tile, (void)first_node;
@@ -26,7 +26,7 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
   FormfieldWorldInfo info;
   info.size = sizeof info;
   if (formfieldGetWorldInfo(world, &info) != FORMFIELD_OK) return fail(device, "world");
-  printf("%u patches of %g m on %u levels\n", info.patches, info.cell_m, info.levels);
+  printf("%llu patches of %g m on %u levels\n", (unsigned long long)info.patches, info.cell_m, info.levels);
 
   double at[3]; /* in the scene's world space; what is a float counts from the origin */
   float lamp_at[3];
@@ -47,7 +47,7 @@ static int run(FormfieldDevice device, FormfieldWorld world) {
   uint32_t slots = 0, slot = FORMFIELD_NO_SLOT;
   const float* radiosity = formfieldRadiosity(world, &slots);
   if (formfieldPatchSlots(world, info.patches / 2, 1, &slot) != FORMFIELD_OK) return fail(device, "slots");
-  printf("patch %u is lit by slot %u of %u: %g %g %g W/m2\n", info.patches / 2, slot, slots, radiosity[4 * slot],
+  printf("patch %llu is lit by slot %u of %u: %g %g %g W/m2\n", (unsigned long long)(info.patches / 2), slot, slots, radiosity[4 * slot],
          radiosity[4 * slot + 1], radiosity[4 * slot + 2]);
 
   /* For characters: irradiance where they stand, from above and from one side. */

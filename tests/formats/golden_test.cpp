@@ -115,7 +115,6 @@ TEST(Golden, Version3StaysReadable) {
       EXPECT_EQ(strip->nodes[i].normal, e.nodes[i].normal);
       EXPECT_EQ(strip->nodes[i].emission, e.nodes[i].emission);
       EXPECT_EQ(strip->nodes[i].sky_direction, e.nodes[i].sky_direction);
-      EXPECT_EQ(strip->nodes[i].parent, e.nodes[i].parent);
       EXPECT_EQ(strip->nodes[i].sky_fraction, e.nodes[i].sky_fraction);
       EXPECT_EQ(strip->nodes[i].sky_quadratic, e.nodes[i].sky_quadratic);
       EXPECT_EQ(strip->nodes[i].row_total, e.nodes[i].row_total);

@@ -138,7 +138,7 @@ TEST(ManifestRules, ShardsAreFilesBesideTheManifest) {
 TEST(ManifestRules, LevelsAndTheRootAgree) {
   const auto set = [](std::vector<std::byte>& bytes, size_t at, uint64_t value) { storeLittle(bytes.data() + at, value); };
   for (const auto& [at, value, message] : std::vector<std::tuple<size_t, uint64_t, const char*>>{
-           {0, uint64_t{1} << 32, "this reader numbers"}, {0, ~uint64_t{0}, "this reader numbers"}, {0, 301, "hold other tiles and nodes of level 0"},
+           {8, uint64_t{1} << 32, "4294967296 tiles, this reader numbers 4294967294"}, {8, ~uint64_t{0}, "this reader numbers"}, {0, uint64_t{1} << 32, "cannot be"}, {0, 301, "hold other tiles and nodes of level 0"},
            {8, 301, "cannot be"}, {kLevelRecordBytes, 149, "hold other tiles and nodes of level 1"}}) {
     OpenManifest m;
     set(m.part(kSectionLevels).bytes, at, value);

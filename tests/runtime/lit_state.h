@@ -10,7 +10,7 @@
 
 namespace ff::runtime {
 
-using LitState = std::map<std::pair<uint32_t, uint32_t>, std::vector<float>>;  // by level and node
+using LitState = std::map<std::pair<uint32_t, uint64_t>, std::vector<float>>;  // by level and node
 
 // Of every node of the cut, from its row and its light to the bits that twenty steps from darkness come to.
 inline LitState stateOf(Updater& updater, Solver& solver) {

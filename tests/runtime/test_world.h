@@ -38,7 +38,7 @@ class TestWorld {
 
   const formats::WholeWorld& world() const { return *world_; }
   const formats::Strip& strip(formats::TileId id) const { return strips_.at(id); }
-  const formats::Node& node(uint32_t level, uint32_t node) const {
+  const formats::Node& node(uint32_t level, uint64_t node) const {
     const formats::Strip& s = strip({level, world_->tileOf(level, node)});
     return s.nodes[node - s.first_node];
   }

@@ -16,7 +16,7 @@ constexpr Sky kSky{{1, 2, 3},
                    {{0.1f, 0.2f, 0.3f, 0.4f, 0.5f}, {0, 0, 0, 1, 0}, {0.5f, 0, 0, 0, 0.25f}}};
 
 // Direct irradiance by node number: any function will do, as long as its caller can repeat it.
-Vec3 directAt(uint32_t level, uint32_t node) {
+Vec3 directAt(uint32_t level, uint64_t node) {
   return {static_cast<float>((node * 7 + level) % 11), static_cast<float>(node % 5), 1};
 }
 
@@ -527,7 +527,8 @@ TEST(Updater, WhatIsReflectedCarriesOverByNodeWhenTheCutChanges) {
   int kept = 0, inherited = 0;
   for (const SlotRange& range : walker.updater.matrix().tiles)
     for (uint32_t i = 0; i < range.nodes; ++i) {
-      uint32_t node = range.first_node + i, level = range.id.level, slot = slotOf(old, level, node);
+      uint64_t node = range.first_node + i;
+      uint32_t level = range.id.level, slot = slotOf(old, level, node);
       ++(slot != kNoSlot ? kept : inherited);
       for (; slot == kNoSlot; slot = slotOf(old, level, node)) node = test.world().parent(level++, node);
       ASSERT_EQ(after[range.first_slot + i].x, before[slot].x);

@@ -27,7 +27,6 @@ inline RandomWorld makeFurnaceWorld(uint32_t patches) {
         n.albedo = {0.5f, 0.5f, 0.5f};
         n.emission = {level == 0 ? static_cast<float>(i % 2) : 0.5f, 0, 0};  // every second patch shines
         n.quanta = patches - 1;
-        if (level == 0) n.parent = i / 2;
         s.nodes.push_back(n);
         if (level == 0) w.parents[0].push_back(i / 2);
       }

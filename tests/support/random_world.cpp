@@ -156,8 +156,6 @@ RandomWorld makeRandomWorld(const RandomWorldSettings& settings) {
           if (owner[p] == k) parents.insert(parents.end(), families[family++], first + p);
       above.push_back(all);
     }
-    for (Strip& strip : w.strips[level])
-      for (uint32_t i = 0; i < strip.nodes.size(); ++i) strip.nodes[i].parent = parents[strip.first_node + i];
     w.parents.push_back(std::move(parents));
     tile_nodes = std::move(above);
   }
@@ -192,7 +190,7 @@ std::vector<std::vector<TileName>> nameTiles(const RandomWorld& w) {
       if (top) {
         name.chunk = {static_cast<int32_t>(t / 4) - 1, 0, 1};
       } else {
-        const uint32_t first = w.strips[level][t].first_node, node = level < w.parents.size() && first < w.parents[level].size() ? w.parents[level][first] : 0;
+        const uint64_t first = w.strips[level][t].first_node, node = level < w.parents.size() && first < w.parents[level].size() ? w.parents[level][first] : 0;
         size_t parent = 0;
         while (parent + 1 < w.strips[level + 1].size() && w.strips[level + 1][parent + 1].first_node <= node) ++parent;
         const TileName& above = names[level + 1][parent];

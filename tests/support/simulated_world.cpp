@@ -1,7 +1,6 @@
 #include "tests/support/simulated_world.h"
 
 #include <cmath>
-#include <map>
 #include <random>
 
 #include "formats/codec/chunk.h"
@@ -27,11 +26,11 @@ Box boundsOf(uint32_t tile, double chunk_m) {
   return {lo, lo + Vec3{edge, 1, edge}};
 }
 
-Strip stripOf(uint32_t level, uint32_t tile, const Box& bounds, bool top, std::mt19937_64& random) {
+Strip stripOf(uint32_t level, uint32_t tile, const Box& bounds, std::mt19937_64& random) {
   Strip strip;
   strip.id = {level, tile};
   const float area = (bounds.hi.x - bounds.lo.x) * (bounds.hi.z - bounds.lo.z) / kNodes;
-  std::map<std::pair<uint32_t, uint32_t>, std::map<uint32_t, uint32_t>> counts;  // (partner, row): column, count
+  std::vector<uint16_t> counts(kTiles * kNodes * kNodes);  // by partner, row, column
   for (uint32_t i = 0; i < kNodes; ++i) {
     Node node;
     node.area_m2 = area;
@@ -43,22 +42,21 @@ Strip stripOf(uint32_t level, uint32_t tile, const Box& bounds, bool top, std::m
     node.sky = kSky;
     node.sky_fraction = static_cast<float>(kSky) / kQuanta;
     node.sky_direction = {0, 0.7f, 0};
-    if (!top) node.parent = 0;
     strip.nodes.push_back(node);
     for (uint32_t k = 0; k < kQuanta - kSky; ++k) {
       // Mostly its own tile, as in streets; else any of the chunk.
       const uint32_t partner = random() % 4 != 0 ? tile : static_cast<uint32_t>(random() % kTiles);
-      ++counts[{partner, i}][static_cast<uint32_t>((i + random() % 64) % kNodes)];
+      ++counts[(partner * kNodes + i) * kNodes + static_cast<uint32_t>((i + random() % 64) % kNodes)];
     }
   }
-  for (const auto& [key, row] : counts) {
-    if (strip.blocks.empty() || strip.blocks.back().partner_tile != key.first) strip.blocks.push_back({key.first, 0});
-    for (const auto& [column, count] : row) {
-      ++strip.blocks.back().entries;
-      strip.rows.push_back(static_cast<uint8_t>(key.second));
-      strip.columns.push_back(static_cast<uint8_t>(column));
-      strip.counts.push_back(static_cast<uint16_t>(count));
-    }
+  for (uint32_t e = 0; e < counts.size(); ++e) {
+    if (counts[e] == 0) continue;
+    const uint32_t partner = e / (kNodes * kNodes);
+    if (strip.blocks.empty() || strip.blocks.back().partner_tile != partner) strip.blocks.push_back({partner, 0});
+    ++strip.blocks.back().entries;
+    strip.rows.push_back(static_cast<uint8_t>(e / kNodes % kNodes));
+    strip.columns.push_back(static_cast<uint8_t>(e % kNodes));
+    strip.counts.push_back(counts[e]);
   }
   return strip;
 }
@@ -97,7 +95,7 @@ Result<void> writeSimulatedWorld(const std::string& path, uint32_t levels) {
     uint64_t entries = 0, bytes = 0;
     for (uint32_t t = 0; t < kTiles; ++t) {
       const Box bounds = boundsOf(t, chunk_m);
-      auto strip = encodeStrip(stripOf(level, t, bounds, top, random), bounds, names);
+      auto strip = encodeStrip(stripOf(level, t, bounds, random), bounds, names);
       if (!strip) return strip.error();
       TileInfo tile = strip->info;
       auto extent = (*rows)->add(strip->bytes, strip->info.strip.raw_bytes);

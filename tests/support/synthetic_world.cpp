@@ -169,8 +169,7 @@ void reorder(const std::vector<uint32_t>& order, Level& level, std::vector<uint3
     for (uint32_t& p : *parents) p = number[p];
 }
 
-void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>& starts,
-               const std::vector<uint32_t>& parents, formats::RandomWorld& world) {
+void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>& starts, formats::RandomWorld& world) {
   std::vector<Strip> strips;
   std::vector<Box> bounds;
   for (uint32_t tile = 0; tile + 1 < starts.size(); ++tile) {
@@ -181,7 +180,6 @@ void addStrips(const Level& level, uint32_t number, const std::vector<uint32_t>&
     std::map<std::array<uint32_t, 3>, uint32_t> entries;  // (partner, row, column) -> count
     for (uint32_t i = starts[tile]; i < starts[tile + 1]; ++i) {
       Node node = level.nodes[i];
-      node.parent = parents.empty() ? formats::kNoParent : parents[i];
       strip.nodes.push_back(node);
       for (uint16_t g = 0; g < kLampGroups; ++g) {
         formats::LampLight lamp{static_cast<uint8_t>(i - starts[tile]), g, {}};
@@ -240,10 +238,7 @@ formats::RandomWorld makeSyntheticWorld(const SyntheticSettings& settings) {
     starts[l] = cutTiles(world.parents[l], starts[l + 1], settings.tile_nodes, order);
     reorder(order, levels[l], &world.parents[l], l > 0 ? &world.parents[l - 1] : nullptr);
   }
-  const std::vector<uint32_t> none;
-  for (uint32_t l = 0; l < settings.levels; ++l) {
-    addStrips(levels[l], l, starts[l], l + 1 < settings.levels ? world.parents[l] : none, world);
-  }
+  for (uint32_t l = 0; l < settings.levels; ++l) addStrips(levels[l], l, starts[l], world);
   world.info.cell_m = 1;
   world.info.rays = world.info.fewest_rays = settings.quanta;
   // A row of the top has the sum of its patches' samples.

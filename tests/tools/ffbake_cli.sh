@@ -42,6 +42,26 @@ read -r fine _ <<<"$(bake_to --target-error 1.5%)"
 read -r most _ <<<"$(bake_to --target-error 0.1% --rays 300)"
 [ "$coarse" -lt "$fine" ] && [ "$least" = 256 ] && [ "$most" -le 300 ] || fail "rays by error: $coarse (least $least), $fine, $most"
 rm -f w.*
+# A ground of 100 km with patches of 1 m, alone or as tiles of 10 km in a list, is refused before any work, whatever memory there is.
+python3 - <<'PY'
+import base64, json, struct
+def ground(name, m):
+    data = struct.pack("<12f", 0, 0, 0, 0, 0, m, m, 0, m, m, 0, 0) + struct.pack("<6H", 0, 1, 2, 0, 2, 3)
+    json.dump({"asset": {"version": "2.0"}, "buffers": [{"byteLength": 60, "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}],
+               "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
+               "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [m, 0, m]}, {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+               "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0}}],
+               "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}]}, open(name, "w"))
+ground("ground.gltf", 100000)
+ground("tile.gltf", 10000)
+json.dump({"files": [{"path": "tile.gltf", "translation": [10000 * (i % 10), 0, 10000 * (i // 10)]} for i in range(100)]}, open("tiles.json", "w"))
+PY
+for size in --patch-size=1 --patch-budget=10G; do
+  for scene in ground.gltf tiles.json; do
+    expect 1 "$ffbake" "$scene" -o w.ffm "$size" --memory 100T --no-cache --quiet
+    grep -q 'about 10G patches are more than a bake makes, which cuts surface into 500M pieces at most; use ' err.txt && [ "$(wc -l <err.txt)" -eq 1 ] && [ ! -e w.ffm ] || fail "$scene $size: $(cat err.txt)"
+  done
+done
 # What is odd about a scene: one line a kind, and the same for programs. A ground; above it a cube without a side, and a cube twice at one place.
 python3 - <<'PY'
 import json, struct

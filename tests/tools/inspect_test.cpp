@@ -8,6 +8,7 @@
 
 #include "formats/read/whole_world.h"
 #include "tests/support/furnace_world.h"
+#include "tests/support/simulated_world.h"
 #include "tools/inspect/world_check.h"
 
 namespace ff::tools {
@@ -54,6 +55,37 @@ class Inspect : public testing::Test {
   }
   TemporaryFolder folder_;
 };
+
+// At the far end of 1.7e10 patches: numbers of nodes there do not fit 32 bits.
+TEST_F(Inspect, LooksAtPlacesOfAWorldOfMoreThanTwoToThe32Patches) {
+  ASSERT_TRUE(writeSimulatedWorld(world(), 12));
+  const nlohmann::json info = nlohmann::json::parse(inspect("info --json " + world()).text);
+  EXPECT_EQ(info["levels"][0]["nodes"], (uint64_t{1} << 22) * 16 * 248);
+  EXPECT_EQ(info["levels"][0]["tiles"], (uint64_t{1} << 22) * 16);
+  EXPECT_NEAR(info["levels"][0]["bytes_per_node"].get<double>(), info["levels"][3]["bytes_per_node"].get<double>(), 20);
+  EXPECT_NE(inspect("info " + world()).text.find("\n    0  16642998272   67108864 "), std::string::npos) << inspect("info " + world()).text;
+  // Of the chunk in the last corner, as of one that stands alone.
+  const TemporaryFolder folder;
+  ASSERT_TRUE(writeSimulatedWorld(folder.file("one.ffm"), 2));
+  const auto read = [](const std::string& arguments) { return nlohmann::json::parse(inspect(arguments).text); };
+  const auto far = read("row --json " + world() + " 0 2047,0,2047 15 247"), near = read("row --json " + folder.file("one.ffm") + " 0 1,0,1 15 247");
+  EXPECT_EQ(far["sky"], near["sky"]);
+  ASSERT_EQ(far["entries"].size(), near["entries"].size());
+  for (size_t k = 0; k < near["entries"].size(); ++k) {
+    EXPECT_EQ(far["entries"][k]["count"], near["entries"][k]["count"]);
+    EXPECT_EQ(far["entries"][k]["column"]["index"], near["entries"][k]["column"]["index"]);
+  }
+  const std::string index = std::to_string(near["entries"].back()["column"]["index"].get<int>()), tile = std::to_string(near["entries"].back()["column"]["tile"].get<int>());
+  EXPECT_EQ(read("pair --json " + world() + " 0 2047,0,2047 15 247 2047,0,2047 " + tile + " " + index)["count_ij"], near["entries"].back()["count"]);
+  const Outcome whole = inspect("verify " + world());
+  EXPECT_EQ(whole.code, 1);
+  EXPECT_NE(whole.text.find("level 0 has 16642998272 nodes, and what reads a whole world numbers 4294967294 at most"), std::string::npos) << whole.text;
+  // Tiles have numbers of 32 bits.
+  ASSERT_TRUE(writeSimulatedWorld(world(), 15));
+  const Outcome beyond = inspect("info " + world());
+  EXPECT_EQ(beyond.code, 3);
+  EXPECT_NE(beyond.text.find("level 0 has 4294967296 tiles, this reader numbers 4294967294 at most"), std::string::npos) << beyond.text;
+}
 
 TEST_F(Inspect, VerifiesABalancedWorld) {
   const Outcome run = inspect("verify " + world());

@@ -33,7 +33,7 @@ Result<std::vector<Vec3>> sunIrradiance(const formats::WholeWorld& world, Vec3 t
       const auto first = static_cast<uint32_t>(scene.positions.size());
       for (size_t k = 0; k < 3; ++k) scene.positions.push_back(geometry->positions[3 * t + k]);
       scene.triangles.push_back({{first, first + 1, first + 2}, 0});
-      patch_of.push_back(t < geometry->exposed() ? info.first_node + geometry->patch[t] : kSealed);
+      patch_of.push_back(t < geometry->exposed() ? formats::wholeNumber(info.first_node + geometry->patch[t]) : kSealed);
     }
   }
   auto caster = bake::RayCaster::create(scene);

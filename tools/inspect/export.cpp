@@ -57,7 +57,7 @@ Result<void> eachEntry(const WholeWorld& world, uint32_t level,
     size_t e = 0;
     for (const Block& block : s.blocks)
       for (const size_t end = e + block.entries; e < end; ++e)
-        visit(s.first_node + s.rows[e], world.tiles(level)[block.partner_tile].first_node + s.columns[e], s.counts[e],
+        visit(wholeNumber(s.first_node + s.rows[e]), wholeNumber(world.tiles(level)[block.partner_tile].first_node + s.columns[e]), s.counts[e],
               s.nodes[s.rows[e]].quanta);
   });
 }
@@ -102,9 +102,10 @@ Result<void> patchesNpy(const WholeWorld& world, uint32_t level, OutputFile& fil
                        world.levels()[level].nodes));
   return eachStrip(world, level, [&](const Strip& s) {
     ByteWriter w;
+    uint32_t i = 0;
     for (const Node& n : s.nodes) {
       w.f32(n.area_m2), w.vec3(n.centroid), w.vec3(n.normal), w.vec3(n.albedo), w.vec3(n.emission), w.vec3(n.sky_direction);
-      w.u32(n.parent), w.u32(n.quanta), w.u32(n.sky), w.u32(n.absorbed), w.f32(n.row_total), w.f32(n.sky_fraction);
+      w.u32(world.parent(level, s.first_node + i++)), w.u32(n.quanta), w.u32(n.sky), w.u32(n.absorbed), w.f32(n.row_total), w.f32(n.sky_fraction);
       for (const float mean : n.sky_quadratic) w.f32(mean);
       w.u32(n.lamp_group);
     }
@@ -118,7 +119,7 @@ Result<void> lampsNpy(const WholeWorld& world, uint32_t level, OutputFile& file)
   file.write(npyHeader("('node', '<u4'), ('group', '<u4'), ('weight', '<f4', (3,))", lamps));
   return eachStrip(world, level, [&](const Strip& s) {
     ByteWriter w;
-    for (const LampLight& lamp : s.lamps) w.u32(s.first_node + lamp.row), w.u32(lamp.group), w.vec3(lamp.weight);
+    for (const LampLight& lamp : s.lamps) w.u32(wholeNumber(s.first_node + lamp.row)), w.u32(lamp.group), w.vec3(lamp.weight);
     file.write(w.data());
   });
 }

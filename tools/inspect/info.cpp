@@ -29,9 +29,9 @@ json levelJson(const World& world, uint32_t l) {
           {"nodes", level.nodes},
           {"tiles", level.tiles},
           {"entries", level.entries},
-          {"entries_per_row", ratio(static_cast<double>(level.entries), level.nodes)},
+          {"entries_per_row", ratio(static_cast<double>(level.entries), static_cast<double>(level.nodes))},
           {"stored_bytes", level.stored_bytes},
-          {"bytes_per_node", ratio(static_cast<double>(level.stored_bytes), level.nodes)},
+          {"bytes_per_node", ratio(static_cast<double>(level.stored_bytes), static_cast<double>(level.nodes))},
           {"cell_m", level.cell_m}};
 }
 
@@ -82,13 +82,13 @@ void printLampGroups(std::span<const LampGroup> groups, std::FILE* to) {
 }
 
 void printLevels(const World& world, std::FILE* to) {
-  fmt::print(to, "{:>5} {:>10} {:>7} {:>12} {:>8} {:>13} {:>10} {:>8}\n", "level", "nodes", "tiles", "entries", "per row",
+  fmt::print(to, "{:>5} {:>12} {:>10} {:>14} {:>8} {:>15} {:>10} {:>8}\n", "level", "nodes", "tiles", "entries", "per row",
              "stored_bytes", "per node", "cell_m");
   for (uint32_t l = 0; l < world.levels().size(); ++l) {
     const LevelInfo& v = world.levels()[l];
-    fmt::print(to, "{:>5} {:>10} {:>7} {:>12} {:>8.1f} {:>13} {:>10.1f} {:>8g}\n", l, v.nodes, v.tiles, v.entries,
-               ratio(static_cast<double>(v.entries), v.nodes), v.stored_bytes,
-               ratio(static_cast<double>(v.stored_bytes), v.nodes), v.cell_m);
+    fmt::print(to, "{:>5} {:>12} {:>10} {:>14} {:>8.1f} {:>15} {:>10.1f} {:>8g}\n", l, v.nodes, v.tiles, v.entries,
+               ratio(static_cast<double>(v.entries), static_cast<double>(v.nodes)), v.stored_bytes,
+               ratio(static_cast<double>(v.stored_bytes), static_cast<double>(v.nodes)), v.cell_m);
   }
   fmt::print(to, "pyramid over level 0: {:.3f}\n", pyramidRatio(world));
 }
@@ -179,7 +179,7 @@ Result<void> inspectStats(const WholeWorld& world, const InspectOutput& out) {
         s.absorbed += a * n.absorbed / q;
       }
     }
-  const double patches = world.levels()[0].nodes;
+  const auto patches = static_cast<double>(world.levels()[0].nodes);
   double strip_bytes = 0;
   for (const TileInfo& tile : world.tiles(0)) strip_bytes += tile.strip.stored_bytes;
   const double strips = strip_bytes / patches, index = static_cast<double>(world.levels()[0].stored_bytes) / patches - strips;

@@ -87,7 +87,7 @@ Result<NamedStrip> readStrip(const World& world, const NodeName& node) {
 
 struct RowEntry {
   NodeName column;
-  uint32_t number = 0;  // of the column within its level
+  uint64_t number = 0;  // of the column within its level
   uint16_t count = 0;
 };
 
@@ -248,7 +248,7 @@ Result<void> inspectPair(const World& world, const NodeName& i, const NodeName& 
   const auto strip_j = readStrip(world, j);
   if (!strip_j) return strip_j.error();
   const auto numberOf = [](const NamedStrip& s, const NodeName& node) { return s.strip.first_node + node.index; };
-  const auto countOf = [](const NamedStrip& strip, uint32_t row, uint32_t column) -> uint32_t {
+  const auto countOf = [](const NamedStrip& strip, uint32_t row, uint64_t column) -> uint32_t {
     for (const RowEntry& e : rowEntries(strip, row))
       if (e.number == column) return e.count;
     return 0;

@@ -206,7 +206,7 @@ class Checker {
     size_t begin = 0;
     for (const Block& block : rows.blocks) {
       const size_t block_end = begin + block.entries;
-      const uint32_t b = block.partner_tile, first_a = tiles[a].first_node, first_b = tiles[b].first_node;
+      const uint32_t b = block.partner_tile, first_a = wholeNumber(tiles[a].first_node), first_b = wholeNumber(tiles[b].first_node);
       const auto take = [&](uint32_t i, uint32_t j, uint32_t n_ij, uint32_t n_ji) {
         ++result.pairs;
         const uint32_t from = first_a + i, to = first_b + j;
@@ -290,7 +290,7 @@ class Checker {
     std::map<std::pair<uint32_t, uint16_t>, LampPower> power;  // by parent and group
     const auto visit = [&](uint32_t at, const Level& from, const auto& take) {
       for (uint32_t t = 0; t < from.lamps.size(); ++t)
-        for (const LampLight& lamp : from.lamps[t]) take(world_.tiles(at)[t].first_node + lamp.row, lamp);
+        for (const LampLight& lamp : from.lamps[t]) take(wholeNumber(world_.tiles(at)[t].first_node + lamp.row), lamp);
     };
     visit(l - 1, below, [&](uint32_t node, const LampLight& lamp) {
       LampPower& p = power[{world_.parent(l - 1, node), lamp.group}];
@@ -352,14 +352,14 @@ class Checker {
 
 }  // namespace
 
-std::string nodeText(const WholeWorld& world, uint32_t level, uint32_t node) {
+std::string nodeText(const WholeWorld& world, uint32_t level, uint64_t node) {
   const TileRef tile = world.ref({level, world.tileOf(level, node)});
   const ChunkCell& c = tile.chunk->cell;
   return std::to_string(c[0]) + "," + std::to_string(c[1]) + "," + std::to_string(c[2]) + " " + std::to_string(tile.index) + " " +
          std::to_string(node - tile.info().first_node);
 }
 
-PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_i, const PairEnd& from_j) {
+PairCheck checkPair(uint32_t level, uint64_t i, uint64_t j, const PairEnd& from_i, const PairEnd& from_j) {
   const auto quantum = [](const PairEnd& e) { return e.quanta > 0 ? e.area_m2 * e.total / e.quanta : 0; };
   const double quantum_i = quantum(from_i), quantum_j = quantum(from_j);
   PairCheck p{level, i, j, quantum_i * from_i.count, quantum_j * from_j.count, 0};

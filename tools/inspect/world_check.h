@@ -30,14 +30,15 @@ struct PairEnd {
 };
 
 struct PairCheck {
-  uint32_t level = 0, i = 0, j = 0;
+  uint32_t level = 0;
+  uint64_t i = 0, j = 0;
   double x_ij = 0, x_ji = 0, bound = 0;  // m2
   double ratio() const { return bound > 0 ? std::abs(x_ij - x_ji) / bound : 0; }
 };
-PairCheck checkPair(uint32_t level, uint32_t i, uint32_t j, const PairEnd& from_i, const PairEnd& from_j);
+PairCheck checkPair(uint32_t level, uint64_t i, uint64_t j, const PairEnd& from_i, const PairEnd& from_j);
 
 // A node by its name, as ffinspect takes it: "3,-1,0 12 5", of chunk, tile and index.
-std::string nodeText(const formats::WholeWorld& world, uint32_t level, uint32_t node);
+std::string nodeText(const formats::WholeWorld& world, uint32_t level, uint64_t node);
 
 struct WorldCheck {
   std::vector<Error> corrupt;     // kInvalidFile or kIo, by level and tile; of strips, geometry, lamp groups

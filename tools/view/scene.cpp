@@ -25,7 +25,7 @@ Result<ViewScene> loadScene(const formats::WholeWorld& world) {
     scene.corners.insert(scene.corners.end(), geometry->positions.begin(), geometry->positions.end());
     for (size_t t = 0; t < geometry->patch.size(); ++t) {
       if (t >= geometry->exposed()) scene.sealed.push_back(static_cast<uint32_t>(scene.triangle_patch.size()));
-      scene.triangle_patch.push_back(tile.first_node + geometry->patch[t]);
+      scene.triangle_patch.push_back(formats::wholeNumber(tile.first_node + geometry->patch[t]));
     }
   }
   for (const Vec3 p : scene.corners) scene.bounds.add(p);

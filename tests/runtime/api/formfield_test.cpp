@@ -15,11 +15,11 @@ namespace ff::runtime {
 namespace {
 
 // Any function of the node will do, as long as the other side can repeat it.
-Vec3 directLightOf(uint32_t level, uint32_t node) {
+Vec3 directLightOf(uint32_t level, uint64_t node) {
   return {static_cast<float>((node * 7 + level) % 11), static_cast<float>(node % 5), 1};
 }
 
-void directLight(void* user, uint32_t level, uint32_t, uint32_t first_node, uint32_t nodes, const FormfieldNode* node,
+void directLight(void* user, uint32_t level, uint32_t, uint64_t first_node, uint32_t nodes, const FormfieldNode* node,
                  float* irradiance) {
   ++*static_cast<int*>(user);
   for (uint32_t i = 0; i < nodes; ++i) {
@@ -113,12 +113,12 @@ TEST_F(Formfield, SeveralObserversHaveOneWorld) {
   const auto patchesThere = [&] {  // at full resolution
     EXPECT_EQ(formfieldSettle(world_, 1e-6f, 1000), FORMFIELD_OK);
     uint32_t tiles = 0;
-    std::set<uint32_t> patches;
+    std::set<uint64_t> patches;
     const FormfieldTile* const tile = formfieldTiles(world_, &tiles, nullptr);
     for (uint32_t t = 0; t < tiles && tile[t].level == 0; ++t) patches.insert(tile[t].first_node);
     return patches;
   };
-  std::set<uint32_t> expected;
+  std::set<uint64_t> expected;
   for (const FormfieldObserver& one : all) {
     ASSERT_EQ(formfieldFrame(world_, one.position, one.velocity), FORMFIELD_OK);
     expected.merge(patchesThere());
@@ -327,7 +327,8 @@ TEST_F(Formfield, TheMapOfSlotsNamesEveryPatchAndChangesWithTheCutAlone) {
   const std::vector<uint32_t> slots = patchSlots();
   uint32_t own = 0;
   for (uint32_t patch = 0; patch < slots.size(); ++patch) {
-    uint32_t level = 99, node = 0, ancestor = patch;
+    uint32_t level = 99, ancestor = patch;
+    uint64_t node = 0;
     ASSERT_EQ(formfieldSlotNode(world_, slots[patch], &level, &node), FORMFIELD_OK);
     for (uint32_t l = 0; l < level; ++l) ancestor = test_.world().parent(l, ancestor);
     ASSERT_EQ(node, ancestor);

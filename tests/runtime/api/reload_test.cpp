@@ -16,7 +16,7 @@ constexpr FormfieldSky kSkyOverBakes{{1, 2, 3}, {{0.5f, 0.1f, 0}, {0, 1, 0}, {0.
 const stream::SyntheticSettings kFirst{.side = 64, .tile_nodes = 40, .seed = 2};
 
 // Does with level and node of this bake alone, so that a world just opened gets the same.
-void lightByNumber(void*, uint32_t level, uint32_t, uint32_t first_node, uint32_t nodes, const FormfieldNode*, float* irradiance) {
+void lightByNumber(void*, uint32_t level, uint32_t, uint64_t first_node, uint32_t nodes, const FormfieldNode*, float* irradiance) {
   for (uint32_t i = 0; i < nodes; ++i) irradiance[3 * i] = static_cast<float>(((first_node + i) * 7 + level) % 11);
 }
 

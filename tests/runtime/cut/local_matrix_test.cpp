@@ -9,11 +9,11 @@ namespace {
 using formats::TileId;
 
 // The slot that stands for a node, by the definition alone.
-uint32_t resolveByWalking(const TestWorld& test, const LocalMatrix& matrix, uint32_t level, uint32_t node) {
+uint32_t resolveByWalking(const TestWorld& test, const LocalMatrix& matrix, uint32_t level, uint64_t node) {
   for (;;) {
     for (const SlotRange& range : matrix.tiles)
       if (range.id.level == level && node >= range.first_node && node < range.first_node + range.nodes)
-        return range.first_slot + node - range.first_node;
+        return range.first_slot + static_cast<uint32_t>(node - range.first_node);
     node = test.world().parent(level, node);
     ++level;
   }
@@ -57,7 +57,7 @@ TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
         size_t k = 0;
         for (const formats::Block& block : strip->blocks)
           for (const size_t end = k + block.entries; k < end; ++k) {
-            const uint32_t column =
+            const uint64_t column =
                 test.world().tiles(strip->id.level)[block.partner_tile].first_node + strip->columns[k];
             expected[strip->rows[k]][resolveByWalking(test, matrix, strip->id.level, column)] += strip->counts[k];
           }
@@ -101,7 +101,8 @@ TEST(LocalMatrix, ANodeIsRefinedExactlyWhenItsChildrenAreActive) {
       }
     for (const SlotRange& range : matrix.tiles)
       for (uint32_t i = 0; i < range.nodes; ++i) {
-        const uint32_t slot = range.first_slot + i, node = range.first_node + i;
+        const uint32_t slot = range.first_slot + i;
+        const uint64_t node = range.first_node + i;
         bool children_active = false;
         if (range.id.level > 0) {
           std::vector<uint32_t> children;

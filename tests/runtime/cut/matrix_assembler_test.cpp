@@ -9,7 +9,7 @@
 namespace ff::runtime {
 namespace {
 
-using NodeId = std::pair<uint32_t, uint32_t>;  // level, node
+using NodeId = std::pair<uint32_t, uint64_t>;  // level, node
 
 // What a matrix says of each node, by node instead of by slot.
 struct NodeView {

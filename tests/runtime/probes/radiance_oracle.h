@@ -31,7 +31,7 @@ class RadianceOracle {
         const auto first = static_cast<uint32_t>(scene_.positions.size());
         for (size_t k = 0; k < 3; ++k) scene_.positions.push_back(geometry->positions[3 * t + k]);
         scene_.triangles.push_back({{first, first + 1, first + 2}, 0});
-        patch_of_.push_back(info.first_node + geometry->patch[t]);
+        patch_of_.push_back(formats::wholeNumber(info.first_node + geometry->patch[t]));
       }
     }
     auto caster = bake::RayCaster::create(scene_);

@@ -103,7 +103,7 @@ struct Lamp {
   bool broken = false;
   uint32_t level = 0, node = 0;
 };
-void light(void* user, uint32_t level, uint32_t, uint32_t first_node, uint32_t nodes, const FormfieldNode*,
+void light(void* user, uint32_t level, uint32_t, uint64_t first_node, uint32_t nodes, const FormfieldNode*,
            float* irradiance) {
   const Lamp& lamp = *static_cast<const Lamp*>(user);
   for (uint32_t i = 0; i < nodes; ++i) {

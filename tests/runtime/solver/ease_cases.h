@@ -30,7 +30,7 @@ inline std::vector<Vec4> sourceOf(const LocalMatrix& m, float scale = 1) {
   std::vector<Vec4> source(m.slots());
   for (const SlotRange& range : m.tiles)
     for (uint32_t i = 0; i < range.nodes; ++i) {
-      const uint32_t node = range.first_node + i;
+      const uint64_t node = range.first_node + i;
       source[range.first_slot + i] = m.albedo[range.first_slot + i] * Vec4{scale * static_cast<float>(node * 7 % 11), scale, scale * static_cast<float>(node % 5), 0};
     }
   return source;
@@ -67,7 +67,8 @@ struct CutChange {
       for (uint32_t i = 0; i < range.nodes; ++i) {
         const uint32_t slot = range.first_slot + i;
         if (!matrix().leaf[slot]) continue;
-        uint32_t level = range.id.level, node = range.first_node + i, old = slotOf(before_tiles, level, node);
+        uint64_t node = range.first_node + i;
+        uint32_t level = range.id.level, old = slotOf(before_tiles, level, node);
         for (; old == kNoSlot; old = slotOf(before_tiles, level, node)) node = test.world().parent(level++, node);
         const Vec3 from = test.node(level, node).albedo, to = test.node(range.id.level, range.first_node + i).albedo;
         const Vec4 &b = now[slot], &was = before[old];

@@ -41,7 +41,7 @@ std::vector<Vec4> solve(Solver& solver, const std::shared_ptr<const LocalMatrix>
 // k Jacobi iterations from zero in double precision: every node's row straight from its strip, columns resolved by
 // walking up the parents. O(entries) per iteration without any of the structures under test.
 std::vector<std::array<double, 3>> naive(const TestWorld& test, const Cut& cut, std::span<const Vec4> source, int k) {
-  std::map<std::pair<uint32_t, uint32_t>, uint32_t> slot_of;  // (level, node)
+  std::map<std::pair<uint32_t, uint64_t>, uint32_t> slot_of;  // (level, node)
   uint32_t slots = 0;
   for (const auto& strip : cut)
     for (uint32_t i = 0; i < strip->nodes.size(); ++i) slot_of[{strip->id.level, strip->first_node + i}] = slots++;
@@ -54,14 +54,16 @@ std::vector<std::array<double, 3>> naive(const TestWorld& test, const Cut& cut, 
       size_t e = 0;
       for (const formats::Block& block : rows.blocks)
         for (const size_t end = e + block.entries; e < end; ++e) {
-          uint32_t l = level, node = test.world().tiles(level)[block.partner_tile].first_node + rows.columns[e];
+          uint32_t l = level;
+          uint64_t node = test.world().tiles(level)[block.partner_tile].first_node + rows.columns[e];
           while (slot_of.count({l, node}) == 0) node = test.world().parent(l++, node);
           const std::array<double, 3>& b = from[slot_of[{l, node}]];
           for (size_t c = 0; c < 3; ++c)
             irradiance[rows.rows[e]][c] += b[c] * rows.counts[e] / rows.nodes[rows.rows[e]].quanta;
         }
       for (uint32_t i = 0; i < strip->nodes.size(); ++i) {
-        const uint32_t node = strip->first_node + i, slot = slot_of[{level, node}];
+        const uint64_t node = strip->first_node + i;
+        const uint32_t slot = slot_of[{level, node}];
         const auto children = level > 0 ? test.world().children(level, node) : std::span<const uint32_t>();
         if (level > 0 && slot_of.count({level - 1, children[0]}) != 0) {
           std::array<double, 3> sum{};
@@ -307,7 +309,7 @@ TEST(FullSolve, GivesTheSameBitsForEveryNumberOfThreads) {
 TEST(CpuGather, WithEveryTileActiveEqualsTheFullSolve) {
   const TestWorld test({.side = 32, .tile_nodes = 60, .equal_areas = false, .seed = 6});
   const auto matrix = solverMatrix(test, test.randomCut(1, 1));
-  const uint32_t patches = test.world().levels()[0].nodes;
+  const uint64_t patches = test.world().levels()[0].nodes;
   const std::vector<Vec4> source = randomSource(matrix->slots(), 4);
   std::vector<double> full_source;
   for (uint32_t i = 0; i < patches; ++i)  // level-0 tiles come first, so patches are slots
@@ -347,7 +349,7 @@ TEST(CpuGather, ACoarseCutGathersTheExactMeanOfThePatchesFirstBounce) {
 
 TEST(NodeValues, AreAreaWeightedMeansOfThePatchesBeneath) {
   const TestWorld test({.side = 16, .tile_nodes = 12, .equal_areas = false});
-  const uint32_t patches = test.world().levels()[0].nodes;
+  const uint64_t patches = test.world().levels()[0].nodes;
   std::vector<Vec3> values;
   for (uint32_t i = 0; i < patches; ++i) values.push_back({static_cast<float>(i), 1, static_cast<float>(i % 3)});
   const auto areas = patchAreas(test.world());

@@ -57,7 +57,7 @@ TEST(Paper, AMatrixOfAllPatchesIsTheFullSolution) {
   ASSERT_TRUE(baked) << baked.error().line();
   const auto truth = solveWorldTruth(baked->world(), true);
   ASSERT_TRUE(truth) << truth.error().line();
-  const uint32_t all = baked->world().levels()[0].nodes;
+  const uint32_t all = formats::wholeNumber(baked->world().levels()[0].nodes);
   const auto there = nearestPatches(baked->world(), *truth, {2, 1.5f, 2}, all);
   ASSERT_TRUE(there);
   ASSERT_EQ(there->activePatches(), all);

@@ -116,7 +116,7 @@ Result<SceneFigures> measureScene(const std::string& name, const bake::Scene& sc
   say("full solution");
   const auto truth = solveWorldTruth(world, false);
   if (!truth) return truth.error();
-  SceneFigures figures{name, world.levels()[0].nodes, {}};
+  SceneFigures figures{name, formats::wholeNumber(world.levels()[0].nodes), {}};
   const uint32_t largest = options.quick ? 1024 : 4096;
   const auto eyes = eyesOf(world, *truth, largest, kObservers);
   if (!eyes) return eyes.error();

@@ -193,7 +193,7 @@ Result<double> leakOfLevel(const formats::WholeWorld& world, const runtime::Node
     const auto strip = world.strip(info.id);
     if (!strip) return strip.error();
     for (uint32_t i = 0; i < info.nodes; ++i) {
-      uint32_t node = info.first_node + i;
+      uint32_t node = formats::wholeNumber(info.first_node + i);
       for (uint32_t l = 0; l < level; ++l) node = world.parent(l, node);
       balance.add(materialAt(strip->nodes[i]), static_cast<double>(strip->nodes[i].area_m2),
                   static_cast<double>((*b)[matrix->slotOf(level, node)].x));

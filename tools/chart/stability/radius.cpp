@@ -29,7 +29,7 @@ struct Sums {
 Vec4 valueOf(const formats::WholeWorld& world, const LocalMatrix& matrix, std::span<const Vec4> radiosity, uint32_t patch,
              Vec4 far_value) {
   const formats::TileRef tile = world.ref({0, world.tileOf(0, patch)});
-  const uint32_t slot = slotFor(matrix.tiles, tile, patch - tile.info().first_node);
+  const uint32_t slot = slotFor(matrix.tiles, tile, formats::wholeNumber(patch - tile.info().first_node));
   return slot != kNoSlot ? radiosity[slot] : far_value;
 }
 
@@ -48,7 +48,7 @@ Result<Sums> compareNear(const formats::WholeWorld& world, const WorldTruth& tru
   for (const formats::Strip& strip : truth.patches)
     for (uint32_t i = 0; i < strip.nodes.size(); ++i) {
       if (length(strip.nodes[i].centroid - there.at.observer) > kReach_m) continue;
-      const uint32_t patch = strip.first_node + i;
+      const uint32_t patch = formats::wholeNumber(strip.first_node + i);
       const Vec4 x = valueOf(world, *matrix, b, patch, outside);
       const double value[3] = {static_cast<double>(x.x), static_cast<double>(x.y), static_cast<double>(x.z)};
       for (size_t c = 0; c < 3; ++c) {
@@ -75,7 +75,7 @@ Result<StabilityPart> stabilityOfRadius(const StabilityOptions& options, const S
   if (!truth) return truth.error();
   const std::vector<float> radii = options.quick ? std::vector<float>{24, 16, 12, 8, 4, 2, 1}
                                                  : std::vector<float>{32, 24, 16, 12, 8, 6, 4, 3, 2, 1, 0.5f};
-  const std::string scene = "town of " + numberText(world.levels()[0].nodes) + " patches of 1 m, sun and sky";
+  const std::string scene = "town of " + numberText(static_cast<double>(world.levels()[0].nodes)) + " patches of 1 m, sun and sky";
   Measured pyramid{
       .scene = scene, .method = "the pyramid beyond", .knob = "radius", .unit = "m", .points = {}, .then = {}};
   Measured constant = pyramid;

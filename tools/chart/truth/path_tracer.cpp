@@ -459,7 +459,7 @@ Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::W
 
   if (!world.hasGeometry())
     return Error{ErrorCode::kInvalidFile, world.path(), "", "the world has no drawing geometry", "bake it with geometry"};
-  const uint32_t patches = world.levels()[0].nodes;
+  const uint32_t patches = formats::wholeNumber(world.levels()[0].nodes);
   std::vector<std::vector<Facet>> of_patch(patches);
   std::vector<Vec3> corners;
   std::vector<bake::Triangle> triangles;
@@ -475,7 +475,7 @@ Result<PathTracer> PathTracer::create(const bake::Scene& scene, const formats::W
       const auto first = static_cast<uint32_t>(corners.size());
       corners.insert(corners.end(), {a, b, c});
       triangles.push_back({{first, first + 1, first + 2}, 0});
-      state->patch_of.push_back(info.first_node + geometry->patch[t]);
+      state->patch_of.push_back(formats::wholeNumber(info.first_node + geometry->patch[t]));
       std::vector<Facet>& own = of_patch[state->patch_of.back()];
       const Vec3 n = cross(b - a, c - a);
       const float area = 0.5f * length(n);
