@@ -209,7 +209,7 @@ Document loadDocument(const std::string& path, Budget& budget, std::vector<std::
     validated["textures"] = validateTextures(file, storage.views.size(), out.images, out.texture_images, validated["samplers"]);
     validated["materials"] = validateMaterials(file, validated["textures"].size(), budget, out.material_facts, warnings);
     validated["meshes"] = validateMeshes(file, accessors, validated["materials"].size(), storage.views.size(), warnings);
-    validated["nodes"] = validateNodes(file, accessors, validated["meshes"].size(), out.roots);
+    out.nodes = validateNodes(file, accessors, validated["meshes"].size(), out.roots);
     out.objects = readObjects(file);
     out.lights = readLights(file, warnings);
     out.buffer_present = storage.present;

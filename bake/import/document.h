@@ -24,11 +24,12 @@ struct ImageSource {
 };
 
 struct Document {
-  // Only buffers, bufferViews, accessors, meshes (POSITION, TEXCOORD_n, COLOR_0, indices), materials, textures,
-  // samplers, nodes and scenes. Materials: the diffuse part of spec-gloss is the base colour, emissiveStrength is
-  // multiplied into emissiveFactor; the rest is in material_facts. Nodes form trees: each has at most one parent. A
-  // Draco primitive has no `indices`; its extension holds bufferView, attributes, indexCount and vertexCount.
+  // Only buffers, bufferViews, accessors, meshes (POSITION, TEXCOORD_n, COLOR_0, indices), materials, textures
+  // and samplers. Materials: the diffuse part of spec-gloss is the base colour, emissiveStrength is
+  // multiplied into emissiveFactor; the rest is in material_facts. A Draco primitive has no `indices`; its extension holds
+  // bufferView, attributes, indexCount and vertexCount.
   tinygltf::Model model;
+  std::vector<NodeFacts> nodes;      // they form trees: each has at most one parent
   std::vector<ImageSource> images;
   Objects objects;
   std::vector<std::vector<uint32_t>> texture_images;  // of each texture: its images, the preferred one first

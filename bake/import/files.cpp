@@ -155,9 +155,7 @@ Result<void> addList(const std::string& list, std::vector<SceneFile>& files) {
         gltf::refuse(place, "\"" + gltf::printable(key) + "\" is not known", "path, matrix, translation, rotation and scale are");
     const std::string path = item.text("path");
     if (path.empty() || path.ends_with(".json")) gltf::refuse(place, "path must name a .glb or .gltf file, or a folder", "name one");
-    gltf::Json transform = gltf::Json::object();
-    gltf::validateTransform(item, transform);
-    const gltf::Matrix placed = gltf::transformOf(transform);
+    const gltf::Matrix placed = gltf::validateTransform(item);
     if (!(std::abs(gltf::determinant(placed)) > 0)) gltf::refuse(place, "its scale is zero", "give another");
     if (auto ok = addFiles(path.starts_with('/') ? path : formats::folderOf(list) + path, placed, files); !ok) return ok;
   }

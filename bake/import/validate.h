@@ -1,9 +1,11 @@
-// The checking half of document.cpp: JSON in, validated JSON out: what the baker reads, and no more. Private to this folder.
+// The checking half of document.cpp: JSON in, validated JSON (of nodes, a list) out: what the baker reads, and no more. Private to this folder.
 #pragma once
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "bake/import/container.h"
+#include "bake/import/matrix.h"
 
 namespace ff::bake::gltf {
 
@@ -43,15 +45,29 @@ struct MaterialFacts {
   std::vector<std::string> left_alone;          // see Material::left_alone
 };
 
+// EXT_mesh_gpu_instancing: accessors, which have equal counts; -1: none. One is there at least.
+struct GpuInstancing {
+  int translation = -1, rotation = -1, scale = -1;
+};
+
+// A file may have millions of nodes.
+struct NodeFacts {
+  Matrix local{};  // into its parent
+  int mesh = -1;
+  std::vector<uint32_t> children;
+  std::optional<GpuInstancing> instancing;
+  bool visible = true;
+};
+
 Json validateAccessors(const Item& file, const Storage& storage, std::vector<AccessorFacts>& facts);
 // texture_count and material warnings: see document.h for what materials look like afterwards.
 Json validateMaterials(const Item& file, size_t texture_count, Budget& budget, std::vector<MaterialFacts>& facts,
                        std::vector<std::string>& warnings);
 Json validateMeshes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t material_count,
                     size_t view_count, std::vector<std::string>& warnings);
-// A node's matrix, or its translation, rotation and scale: checked, and put into `validated`.
-void validateTransform(const Item& item, Json& validated);
-Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
+// Of a node's matrix, or its translation, rotation and scale.
+Matrix validateTransform(const Item& item);
+std::vector<NodeFacts> validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                    std::vector<uint32_t>& roots);
 
 }  // namespace ff::bake::gltf

@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "bake/import/validate.h"
 
@@ -8,12 +10,12 @@ namespace {
 constexpr double kUnitTolerance = 0.01;  // of a quaternion's squared length; it is normalised within
 constexpr uint32_t kNoNode = 0xffffffffu;
 
-Json validateInstancing(const Item& instancing, const std::vector<AccessorFacts>& accessors) {
+GpuInstancing validateInstancing(const Item& instancing, const std::vector<AccessorFacts>& accessors) {
   const auto attributes = instancing.object("attributes");
   if (!attributes) refuse(instancing.place(), "attributes is missing");
-  Json kept = Json::object();
+  GpuInstancing kept;
   uint64_t count = 0;
-  for (const char* name : {"TRANSLATION", "ROTATION", "SCALE"}) {
+  for (const auto& [name, kept_as] : {std::pair{"TRANSLATION", &kept.translation}, {"ROTATION", &kept.rotation}, {"SCALE", &kept.scale}}) {
     const auto accessor = attributes->reference(name, accessors.size(), "accessor");
     if (!accessor) continue;
     const AccessorFacts& f = accessors[*accessor];
@@ -28,10 +30,10 @@ Json validateInstancing(const Item& instancing, const std::vector<AccessorFacts>
       refuse(instancing.place(), std::string(name) + ": accessor " + std::to_string(*accessor) + " has no data");
     if (count && f.count != count) refuse(instancing.place(), "attributes of different counts");
     count = f.count;
-    kept[name] = *accessor;
+    *kept_as = static_cast<int>(*accessor);
   }
-  if (kept.empty()) refuse(instancing.place(), "has neither TRANSLATION nor ROTATION nor SCALE");
-  return {{"attributes", std::move(kept)}};
+  if (kept.translation < 0 && kept.rotation < 0 && kept.scale < 0) refuse(instancing.place(), "has neither TRANSLATION nor ROTATION nor SCALE");
+  return kept;
 }
 
 // Parents are unique by now, so that walking up from any node either ends at a root or runs into a cycle.
@@ -48,36 +50,40 @@ void refuseCycles(const std::vector<uint32_t>& parent) {
 
 }  // namespace
 
-void validateTransform(const Item& item, Json& validated) {
+Matrix validateTransform(const Item& item) {
   if (const auto matrix = item.numbers("matrix", 16); !matrix.empty()) {
     for (const char* key : {"translation", "rotation", "scale"})
       if (item.has(key)) refuse(item.place(), "has both matrix and " + std::string(key));
     if (matrix[3] != 0 || matrix[7] != 0 || matrix[11] != 0 || matrix[15] != 1)
       refuse(item.place(), "the last row of matrix must be 0, 0, 0, 1");
-    validated["matrix"] = matrix;
-    return;
+    Matrix m;
+    std::copy(matrix.begin(), matrix.end(), m.begin());
+    return m;
   }
-  for (const char* key : {"translation", "scale"})
-    if (const auto v = item.numbers(key, 3); !v.empty()) validated[key] = v;
-  if (auto q = item.numbers("rotation", 4); !q.empty()) {
+  auto t = item.numbers("translation", 3), q = item.numbers("rotation", 4), s = item.numbers("scale", 3);
+  if (t.empty()) t = {0, 0, 0};
+  if (s.empty()) s = {1, 1, 1};
+  if (q.empty()) {
+    q = {0, 0, 0, 1};
+  } else {
     const double squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     if (!(std::fabs(squared - 1) < kUnitTolerance)) refuse(item.place(), "rotation must be a unit quaternion");
     for (double& x : q) x /= std::sqrt(squared);
-    validated["rotation"] = q;
   }
+  return compose(t.data(), q.data(), s.data());
 }
 
-Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
+std::vector<NodeFacts> validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors, size_t mesh_count,
                    std::vector<uint32_t>& roots) {
   const auto items = file.items("nodes", "node");
   std::vector<uint32_t> parent(items.size(), kNoNode);
-  Json out = Json::array();
+  std::vector<NodeFacts> out(items.size());
   for (uint32_t i = 0; i < items.size(); ++i) {
     const Item& item = items[i];
-    Json validated = Json::object();
-    validateTransform(item, validated);
-    if (const auto mesh = item.reference("mesh", mesh_count, "mesh")) validated["mesh"] = *mesh;
-    const auto children = item.references("children", items.size(), "node");
+    NodeFacts& node = out[i];
+    node.local = validateTransform(item);
+    if (const auto mesh = item.reference("mesh", mesh_count, "mesh")) node.mesh = static_cast<int>(*mesh);
+    auto children = item.references("children", items.size(), "node");
     for (const uint32_t child : children) {
       if (child == i) refuse(item.place(), "is its own child");
       if (parent[child] != kNoNode)
@@ -85,13 +91,11 @@ Json validateNodes(const Item& file, const std::vector<AccessorFacts>& accessors
                "is a child twice, of node " + std::to_string(parent[child]) + " and of node " + std::to_string(i));
       parent[child] = i;
     }
-    if (!children.empty()) validated["children"] = children;
+    node.children = std::move(children);
     if (const auto instancing = item.extension("EXT_mesh_gpu_instancing"))
-      validated["extensions"]["EXT_mesh_gpu_instancing"] = validateInstancing(*instancing, accessors);
+      node.instancing = validateInstancing(*instancing, accessors);
     if (const auto visibility = item.extension("KHR_node_visibility"))
-      if (visibility->has("visible"))
-        validated["extensions"]["KHR_node_visibility"]["visible"] = visibility->flag("visible");
-    out.push_back(std::move(validated));
+      if (visibility->has("visible")) node.visible = visibility->flag("visible");
   }
   refuseCycles(parent);
 
