@@ -19,7 +19,7 @@ void FrameLog::add(Clock::time_point began, const FrameStats& frame, const strea
   if (kept_ == 0) return;
   const Frame now{std::chrono::duration<double, std::micro>(began - start_).count(), static_cast<float>(frame.stream_ms), static_cast<float>(frame.matrix_ms),
                   static_cast<float>(frame.solve_ms), tiles.wanted_tiles, tiles.late_tiles, tiles.pending_tiles, tiles.ahead_tiles, frame.matrix_changed,
-                  tiles.resident_bytes, tiles.bytes_read, tiles.strips_read, tiles.reads, tiles.failed, origin, observers.size()};
+                  tiles.resident_bytes, tiles.bytes_read, tiles.strips_read, tiles.reads, tiles.failed, frame.uploaded, origin, observers.size()};
   std::ranges::copy(observers, observers_.begin() + static_cast<ptrdiff_t>(next_ * stream::kMaxObservers));
   if (frames_.size() < kept_)
     frames_.push_back(now);
@@ -63,6 +63,7 @@ std::string FrameLog::trace() const {
     counter("tiles", frame.began_us, {{"wanted", frame.wanted}, {"late", frame.late}, {"ahead", frame.ahead}, {"pending", frame.pending}});
     counter("MB resident", frame.began_us, {{"strips", static_cast<double>(frame.resident_bytes) * 1e-6}});
     counter("MB read", frame.began_us, {{"strips", static_cast<double>(frame.bytes_read) * 1e-6}});
+    counter("MB uploaded", frame.began_us, {{"rows", static_cast<double>(frame.uploaded.rows) * 1e-6}, {"light", static_cast<double>(frame.uploaded.light) * 1e-6}});
     counter("read", frame.began_us, {{"strips", frame.strips_read}, {"reads", frame.reads}});
     counter("failed", frame.began_us, {{"strips", frame.strips_failed}});
   }

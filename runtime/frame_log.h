@@ -36,6 +36,7 @@ class FrameLog {
     float stream_ms, matrix_ms, solve_ms;
     uint32_t wanted, late, pending, ahead, cut_changed;
     uint64_t resident_bytes, bytes_read, strips_read, reads, strips_failed;
+    UploadedBytes uploaded;
     std::array<double, 3> origin;
     size_t observers;
   };

@@ -48,8 +48,9 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
   return step;
 }
 
-Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles)
-    : world_(world), streamer_(streamer), solver_(solver), lamps_(world.info()), cut_(world, far_light, background, &entering_), fade_(fade), budget_(world, max_applied_tiles) {
+Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
+                 stream::Now now)
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), cut_(world, far_light, background, &entering_, now_), fade_(fade), budget_(world, max_applied_tiles) {
   const uint32_t most = mostSlots(world);
   const auto take = [most](auto& per_slot) {
     per_slot.reserve(kMaxSlots);
@@ -123,8 +124,9 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   const auto start = Clock::now();
   light_zeroed_ = applied_tiles_ = 0;
   // What a frame takes, over a few of them; a pause is none.
-  const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(start - frame_began_).count(), kLongestFrame);
-  frame_began_ = start;
+  const Clock::time_point begins = now_();
+  const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(begins - frame_began_).count(), kLongestFrame);
+  frame_began_ = begins;
   frame_seconds_ += frame_seconds_ == 0 ? seconds : (std::min(seconds, kPause * frame_seconds_) - frame_seconds_) / 8;
   const float until_active = kBuilds * cut_.latencySeconds() + (kTurns + kSlack) * frame_seconds_;
   streamer_.setLead({until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
@@ -150,6 +152,7 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   cut_.begin();
   if (!iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();
+  stats.uploaded = solver_.uploaded();
   return stats;
 }
 
@@ -284,6 +287,7 @@ Result<void> Updater::takeUpChange() {
 
   tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   told_ = missed_ ? &wholeMatrix() : &change;
+  emission_entered_ = !told_->renumbered;
   missed_ = true;
   if (!read) return read;
   auto told = tellSolver(*told_, carry);
@@ -372,7 +376,10 @@ Result<void> Updater::relightAll() {
   for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_, lamps_changed_);
   fade_.relit();
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
-  emission_change_ += lamps_changed_;
+  if (lamps_changed_) {
+    ++emission_change_;
+    emission_entered_ = false;
+  }
   light_changed_ = lamps_changed_ = false;
   auto set = solver_.setSource(source_);
   sky_changed_ = !set;  // else once more in the next frame

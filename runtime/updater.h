@@ -33,6 +33,7 @@ struct FrameStats {
   uint32_t waiting_tiles = 0;  // that are there and wait for their turn to enter
   uint32_t light_zeroed =
       0;  // values of DirectLight, and sources made of them, that were no light and were taken for zero
+  UploadedBytes uploaded;  // since the start
   double stream_ms = 0, matrix_ms = 0, solve_ms = 0;
 };
 
@@ -44,9 +45,10 @@ class Updater {
   // All three must outlive the updater. background: the matrix of a new cut is put together on a thread of its own and taken up a frame or two later,
   // whole; else within the frame. fade: over how many frames light follows a change of the cut (cut_fade.h, Solver::ease); by default at
   // once. Tiles are then wanted so much earlier, by the time that frames take. max_applied_tiles: that enter in a frame, at most (cut_budget.h); 0: no limit. A frame that waits
-  // (awaitCut), the first one, and one that gives out all slots anew, for want of consecutive ones, take all.
+  // (awaitCut), the first one, and one that gives out all slots anew, for want of consecutive ones, take all. now: the time that frames are taken to begin at.
   Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver,
-          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {}, uint32_t max_applied_tiles = 0);
+          FarLight far_light = FarLight::kPyramid, bool background = false, const FadeSettings& fade = {}, uint32_t max_applied_tiles = 0,
+          stream::Now now = std::chrono::steady_clock::now);
   // These four refuse what is no light (sound_light.h), with its place, and leave all as it was.
   Result<void> setSky(const Sky& sky);
   // From the next frame on, a lamp group (below lamps().groups()) emits `scale` times what was baked, at every level of the cut.
@@ -90,7 +92,9 @@ class Updater {
   // Per slot, W/m2, rgb and 0:
   std::span<const Vec4> source() const { return source_; }      // albedo * what arrives without a bounce: the solver's source
   std::span<const Vec4> emission() const { return emission_; }  // what the slot's surface emits now
-  uint64_t emissionChange() const { return emission_change_; }  // differs whenever emission() does
+  uint64_t emissionChange() const { return emission_change_; }  // one more whenever emission() is another
+  // Whether that was the last time because tiles entered and left, as change() says, and for no other slot.
+  bool emissionEntered() const { return emission_entered_; }
   Result<void> reflected(std::span<Vec4> out) { return solver_.radiosity(out); }  // R, after any number of bounces
   Result<void> radiosity(std::span<Vec4> out);                  // B: show() of R
   // Makes what slots show of what they reflect: blended where tiles leave (cut_fade.h), and what they emit added.
@@ -114,6 +118,7 @@ class Updater {
   const formats::World& world_;
   stream::Streamer& streamer_;
   Solver& solver_;
+  const stream::Now now_;
   Sky sky_;
   Lamps lamps_;
   DirectLight direct_light_;
@@ -130,6 +135,7 @@ class Updater {
   std::vector<SlotRange> tiles_before_;   // of the matrix that was taken up last
   FrameStats counts_;  // of the matrix
   uint64_t emission_change_ = 0;
+  bool emission_entered_ = false;
   std::chrono::steady_clock::time_point frame_began_;
   float frame_seconds_ = 0;
   bool await_cut_ = false;

@@ -32,6 +32,7 @@ vec3 shown(uint slot) {
 void main() {
   const uint slot = gl_GlobalInvocationID.x;
   if (slot >= push.slots) return;
-  radiosity[slot] = vec4((push.fades != 0u ? shown(slot) : reflected[slot].rgb) + emission[slot].rgb, 0);
+  const vec3 emitted = parents[slot] == kFreeSlot ? vec3(0) : emission[slot].rgb;  // that of a tile that has left stays there
+  radiosity[slot] = vec4((push.fades != 0u ? shown(slot) : reflected[slot].rgb) + emitted, 0);
   if (push.stepped != 0u) last_source[slot] = vec4(source[slot].rgb, 0);
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <system_error>
+#include <utility>
 
 #include "formats/storage/storage.h"
 #include "runtime/api/formfield_handles.h"
@@ -317,7 +318,16 @@ Result<void> FormfieldWorld_T::readRadiosity() {
   if (auto read = updater().reflected(radiosity); !read) return read;
   residual = residual_monitor.look(updater().matrix(), updater().source(), radiosity);
   updater().show(radiosity);
+  recorded_unseen = false;
   return {};
+}
+
+const std::vector<Vec4>& FormfieldWorld_T::shownRadiosity() {
+  if (!std::exchange(recorded_unseen, false)) return radiosity;
+  radiosity.resize(updater().matrix().slots());
+  solver.recording->lastSeen(radiosity);
+  updater().show(radiosity);
+  return radiosity;
 }
 
 Result<void> FormfieldWorld_T::settle(float tolerance, uint32_t max_iterations) {
@@ -370,7 +380,7 @@ Result<void> FormfieldWorld_T::sample(std::span<const Vec3> points, std::span<co
     shown->listProbeTiles(probe_tiles);
   }
   shown->probes->follow(observers, probe_tiles, updater().matrix().leaf, change);
-  shown->probes->sample(points, normals, radiosity, sky, out);
+  shown->probes->sample(points, normals, shownRadiosity(), sky, out);
   return {};
 }
 
@@ -572,8 +582,11 @@ FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const Form
 }
 
 const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots) {
-  if (slots) *slots = world ? static_cast<uint32_t>(world->radiosity.size()) : 0;
-  return world && !world->radiosity.empty() ? &world->radiosity.front().x : nullptr;
+  if (slots) *slots = 0;
+  if (!world) return nullptr;
+  const std::vector<Vec4>& radiosity = world->shownRadiosity();
+  if (slots) *slots = static_cast<uint32_t>(radiosity.size());
+  return radiosity.empty() ? nullptr : &radiosity.front().x;
 }
 
 FormfieldResult formfieldSample(FormfieldWorld world, uint32_t count, const float* points, const float* normals,
@@ -675,6 +688,9 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.reload_failures = w.reloader ? w.reloader->failures() : 0;
     report.reads = s.reads;
     report.gap_bytes = s.gap_bytes;
+    const UploadedBytes uploaded = w.solver.solver->uploaded();
+    report.uploaded_row_bytes = uploaded.rows;
+    report.uploaded_light_bytes = uploaded.light;
     report.settle_iterations = static_cast<uint32_t>(w.settled.iterations);
     report.settled = w.settled.settled;
     report.settle_change = w.settled.change;

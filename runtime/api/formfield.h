@@ -296,6 +296,8 @@ typedef struct FormfieldStats {
   uint64_t reads_held;                         /* reads that began later than they could have, for read_bytes_per_second */
   uint32_t reloads, reload_failures;           /* re-bakes that were taken up; attempts that failed, each with another line */
   uint64_t reads, gap_bytes;                   /* reads of strips: those that lie beside each other share one; bytes between strips that these brought */
+  uint64_t uploaded_row_bytes, uploaded_light_bytes; /* to a Vulkan device, since the start: of what entered its rows; sources and what else is by slot. All of
+                                                        these where the light changes, or the whole cut */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);

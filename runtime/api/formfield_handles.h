@@ -86,6 +86,8 @@ struct FormfieldWorld_T {
   void followCut(const ff::runtime::FrameStats& stats);
   ff::Result<void> chooseByMatrix();
   ff::Result<void> readRadiosity();
+  // Of recorded frames it is made when somebody asks: those who draw from the device's buffer do not.
+  const std::vector<ff::runtime::Vec4>& shownRadiosity();
 
   FormfieldDevice_T& device;
   const std::string path;
@@ -118,6 +120,7 @@ struct FormfieldWorld_T {
       world.solver.recording->lastSeen(out);
       return {};
     }
+    ff::runtime::UploadedBytes uploaded() const override { return now().uploaded(); }
     double lastMs() const override { return now().lastMs(); }
     const char* name() const override { return now().name(); }
     const FormfieldWorld_T& world;
@@ -144,7 +147,8 @@ struct FormfieldWorld_T {
   uint64_t change = 0, followed = ~uint64_t{0};  // the cut: its number, and the one that the probes know
   std::vector<FormfieldTile> tiles;
   std::vector<ff::runtime::ProbeTile> probe_tiles;
-  std::vector<ff::runtime::Vec4> radiosity;
+  std::vector<ff::runtime::Vec4> radiosity;  // shownRadiosity(), unless
+  bool recorded_unseen = false;              // a frame was recorded since that was asked
   std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
   std::string stream_failure, reload_failure, storage_warning;
   std::optional<ff::runtime::Reloader> reloader;  // the first to go: its thread opens generations

@@ -5,7 +5,7 @@
 
 #include "runtime/api/formfield_handles.h"
 #include "runtime/dense/vk_seed.h"
-#include "runtime/gather/vk_recorder.h"
+#include "runtime/gather/shown_light.h"
 #include "runtime/solver/fallback_solver.h"
 #include "runtime/vulkan/buffer.h"
 #include "runtime/vulkan/device.h"
@@ -50,11 +50,7 @@ class VulkanRecording final : public Recording {
   }
 
   Result<void> record(int iterations) override {
-    if (world_->updater().emissionChange() != emission_) {
-      if (auto set = recorder_.setEmission(world_->updater().emission()); !set) return set;
-      emission_ = world_->updater().emissionChange();
-    }
-    if (world_->updater().fade().weights(world_->updater().matrix(), weights_)) recorder_.setWeights(weights_);
+    if (auto told = shown_.tell(recorder_, world_->updater()); !told) return told;
     return recorder_.record(commands_, iterations);
   }
   void lastSeen(std::span<Vec4> reflected) const override {
@@ -74,7 +70,6 @@ class VulkanRecording final : public Recording {
   VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
       : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {
     reflected_.reserve(kMaxSlots);
-    weights_.reserve(kMaxSlots);
   }
 
   uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
@@ -96,8 +91,7 @@ class VulkanRecording final : public Recording {
         reflected_[slot] = parent != kNoSlot && eased ? onAlbedo(b, matrix.albedo[parent], matrix.albedo[slot], b) : b;
       }
     }
-    world.radiosity.assign(reflected_.begin(), reflected_.end());
-    world.updater().show(world.radiosity);
+    world.recorded_unseen = true;
   }
 
   void recordReadBack(uint32_t slots) {
@@ -115,9 +109,9 @@ class VulkanRecording final : public Recording {
   Buffer buffer_;
   std::vector<Region> regions_;
   std::vector<Vec4> reflected_;    // by slot, as far as it has come back
-  std::vector<float> weights_;     // by slot, of what fades
   std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
-  uint64_t records_ = 0, emission_ = 0;  // emission_: Updater::emissionChange() of what the recorder has
+  ShownLight shown_;
+  uint64_t records_ = 0;
   uint64_t anew_ = 0;                    // the first record with the slots of now
   VkCommandBuffer commands_ = VK_NULL_HANDLE;
   const FormfieldWorld_T* world_ = nullptr;

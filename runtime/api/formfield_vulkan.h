@@ -54,7 +54,7 @@ FormfieldResult formfieldRecordFor(FormfieldWorld world, VkCommandBuffer command
 VkBuffer formfieldRadiosityBuffer(FormfieldWorld world);
 /* What each slot reflects of light that arrives without a bounce, likewise: albedo * irradiance from direct light, the sky and
  * lamps (what a slot emits is not in it), from formfield.h's setters. A caller whose shaders know the direct light may write
- * it instead after each formfieldRecord. */
+ * it instead after each formfieldRecord: slots of tiles that enter come with their own, all slots where the light changes. */
 VkBuffer formfieldSourceBuffer(FormfieldWorld world);
 
 #ifdef __cplusplus

@@ -10,8 +10,8 @@
 
 namespace ff::runtime {
 
-CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion)
-    : companion_(companion), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
+CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, stream::Now now)
+    : companion_(companion), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
   for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
   for (auto* fading : {&fading_, &next_fading_}) fading->reserve(kMaxSlots / 16);
   if (!background) return;
@@ -58,7 +58,7 @@ void CutBuilder::work() {
 }
 
 void CutBuilder::start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
-  started_ = std::chrono::steady_clock::now();
+  started_ = now_();
   takeOver(next_cut_, active, spare_);
   next_fading_.assign(fading.begin(), fading.end());
   renumber_ = std::exchange(renumber_next_, false);
@@ -68,7 +68,7 @@ void CutBuilder::start(std::span<const stream::StripPtr> active, std::span<const
 Result<void> CutBuilder::take() {
   state_ = kIdle;
   if (error_) return *error_;
-  latency_seconds_ = stream::longestOfLate(latency_seconds_, std::chrono::duration<float>(std::chrono::steady_clock::now() - started_).count());
+  latency_seconds_ = stream::longestOfLate(latency_seconds_, std::chrono::duration<float>(now_() - started_).count());
   front_->swap(shown_);
   back_->swap(shown_);
   front_.swap(back_);

@@ -37,6 +37,7 @@ class DenseStep final : public GatherCorrection {
   void recordEnd(VkCommandBuffer c, uint32_t frame, int iterations) override;
   const DenseStats& stats() const override { return stats_; }
   double residual() const override { return residual_; }
+  uint64_t uploadedBytes() const override { return uploaded_bytes_; }
   const char* name() const override { return name_.c_str(); }
   Result<void> fillMatrix(float value) override;
 
@@ -95,6 +96,7 @@ class DenseStep final : public GatherCorrection {
   uint64_t block_ = 0;       // number of the last block that entered
   uint64_t generation_ = 0;  // of the matrix: how often it was cleared
   uint64_t words_used_ = 0;  // of the staging region
+  uint64_t uploaded_bytes_ = 0;
   bool clear_ = false, restart_ = false, places_changed_ = true, rebuilding_ = false, disturbed_ = false;
   double before_ = -1;  // the residual that came back last; -1: not to be compared with
   double residual_ = -1;
@@ -276,6 +278,7 @@ void DenseStep::recordProbe(VkCommandBuffer c, uint32_t frame) {
     x[2 * steps_->stride() + drawn[i]] = v.z;
   }
   std::memcpy(x + 3 * steps_->stride(), drawn.data(), drawn.size_bytes());
+  uploaded_bytes_ += 3 * channelBytes() + drawn.size_bytes();
   // Luminance needs all columns after its first product.
   const uint32_t columns = steps_->settings().luminance ? 0 : static_cast<uint32_t>(drawn.size());
   steps_->recordLight(c, up_.handle(), from, columns);
@@ -311,6 +314,7 @@ bool DenseStep::recordChange(VkCommandBuffer c, uint32_t frame, int iterations, 
     std::memcpy(up_.mapped() + frame * upBytes(), slots.data(), slots.size_bytes());
     const VkBufferCopy copy{frame * upBytes(), 0, slots.size_bytes()};
     vkCmdCopyBuffer(c, up_.handle(), slots_.handle(), 1, &copy);
+    uploaded_bytes_ += copy.size;
     separate(c);
   }
   rebuilding_ = rebuilding_ && places_.waiting() > 0;
@@ -322,6 +326,7 @@ bool DenseStep::recordChange(VkCommandBuffer c, uint32_t frame, int iterations, 
 void DenseStep::recordBlock(VkCommandBuffer c, const VulkanBounceSteps::Block& block, uint32_t frame) {
   const uint64_t offset = frame * upBytes() + blocksAt() + words_used_ * sizeof(uint32_t);
   words_used_ += block.words;
+  uploaded_bytes_ += block.words * sizeof(uint32_t);
   steps_->recordUpload(c, block, up_.handle(), offset);
   separate(c);
   steps_->recordChange(c, block);

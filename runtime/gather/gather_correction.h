@@ -31,6 +31,7 @@ class GatherCorrection {
   virtual void recordEnd(VkCommandBuffer commands, uint32_t frame, int iterations) = 0;
   virtual const DenseStats& stats() const = 0;
   virtual double residual() const = 0;  // VulkanRecorder::residual()
+  virtual uint64_t uploadedBytes() const = 0;  // since the start
   virtual const char* name() const = 0;
   virtual Result<void> fillMatrix(float value) = 0;  // for tests: spoils it; waits
 };

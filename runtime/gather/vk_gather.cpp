@@ -52,6 +52,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override;
   void ease(uint32_t frames) override;
   Result<void> iterate(int k) override;
   Result<void> approach(int k) override;
@@ -61,15 +62,16 @@ class VulkanGather final : public VulkanRecorder {
     std::memcpy(&in_steps, faults_.mapped(), sizeof(in_steps));
     return repaired_ + in_steps;
   }
+  UploadedBytes uploaded() const override { return {uploaded_.rows + (correction_ ? correction_->uploadedBytes() : 0), uploaded_.light}; }
   double lastMs() const override { return last_ms_; }
   const char* name() const override { return correction_ ? correction_->name() : name_.c_str(); }
   Result<void> record(VkCommandBuffer commands, int iterations) override;
   Result<void> setEmission(std::span<const Vec4> emission) override;
+  Result<void> setEnteredEmission(std::span<const Vec4> emission, const MatrixChange& change) override;
   void setWeights(std::span<const float> weights) override;
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
   VkBuffer reflectedBuffer() const override { return radiosity_[now_].handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
-  uint64_t uploadedBytes() const override { return uploaded_bytes_; }
   double lastChangeMs() const override { return last_change_ms_; }
   double residual() const override { return correction_ ? correction_->residual() : -1; }
   const DenseStats* dense() const override { return correction_ ? &correction_->stats() : nullptr; }
@@ -87,7 +89,9 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> makePipelines();
   Result<void> makeBuffers();
   Result<void> makeSets();
-  std::byte* stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies);
+  std::byte* stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies, uint64_t UploadedBytes::*counts = &UploadedBytes::rows);
+  std::byte* stageLight(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies) { return stage(to, at, bytes, copies, &UploadedBytes::light); }
+  void stageEntered(std::span<const Vec4> values, const MatrixChange& change, const Buffer& to, std::vector<VkBufferCopy>& copies);
   void stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has);
   Result<void> flush();
   Result<void> stagePages(const LocalMatrix& m, const MatrixChange& change, bool all);
@@ -102,6 +106,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega, int frames);
   template <class Omega>
   Result<void> runSteps(int steps, Omega&& omega, int frames = 0);
+  void recordSeen(VkCommandBuffer c);
   Result<double> runMeasuredStep();
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
   void readTime(uint32_t frame, bool wait);
@@ -115,6 +120,7 @@ class VulkanGather final : public VulkanRecorder {
   std::string name_ = "vulkan: " + context_->deviceName();
   ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, ease_, change_, refine_, shine_;
   Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, weights_, output_, staging_;
+  Buffer seen_;         // radiosity_[now_], brought to the host by the last submission of our own
   Buffer held_;         // what is held back of light, and for how many frames
   Buffer last_source_;  // source_ of the last step
   Buffer faults_;   // one word: values repaired in steps
@@ -136,7 +142,7 @@ class VulkanGather final : public VulkanRecorder {
   std::vector<Level> levels_;  // finest first
   // What the next record() does first.
   bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false, has_weights_ = false;
-  bool has_later_source_ = false;  // light has changed after rows did
+  bool has_later_source_ = false;  // sources were given twice
   uint32_t left_ = 0;
   std::vector<shaders::TileJob> job_list_;
   std::vector<shaders::SlotSpan> span_list_;
@@ -148,9 +154,11 @@ class VulkanGather final : public VulkanRecorder {
   bool to_hold_ = false;    // rows have changed since
   uint32_t holding_ = 0;    // frames until held_ is all zero
   bool let_go_ = false;     // it has to be, now
+  bool seen_holds_ = false;
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
   std::vector<uint8_t> timed_;  // per frame in flight: its queries were written
-  uint64_t uploaded_bytes_ = 0, repaired_ = 0;
+  UploadedBytes uploaded_;
+  uint64_t repaired_ = 0;
   SemiIteration pace_;
   double last_ms_ = 0, last_change_ms_ = 0;
 };
@@ -182,8 +190,8 @@ Result<void> VulkanGather::start() {
   levels_.reserve(formats::kMaxLevels);
   copies_to_packed_.reserve(settings_.tiles);
   copies_to_pages_.reserve(settings_.pages);
-  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_source_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_emission_, &copies_to_weights_})
-    list->reserve(1);
+  for (auto* list : {&copies_to_source_, &copies_to_emission_}) list->reserve(settings_.tiles);
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_weights_}) list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
   if (auto r = makeBuffers(); !r) return r;
@@ -269,7 +277,8 @@ Result<void> VulkanGather::makeBuffers() {
       {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
       {&radiosity_[0], slots * sizeof(Vec4)},
       {&radiosity_[1], slots * sizeof(Vec4)},
-      {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost}};
+      {&staging_, region_bytes_ * settings_.frames_in_flight, MemoryUse::kHost},
+      {&seen_, slots * sizeof(Vec4), MemoryUse::kHost}};
   for (const Wanted& w : list) {
     auto b = Buffer::create(*context_, w.bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, w.use);
     if (!b) return b.error();
@@ -318,12 +327,12 @@ Result<void> VulkanGather::makeSets() {
 }
 
 // Room in this frame's region and the copy from there, which the next record() makes.
-std::byte* VulkanGather::stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies) {
+std::byte* VulkanGather::stage(const Buffer& to, uint64_t at, uint64_t bytes, std::vector<VkBufferCopy>& copies, uint64_t UploadedBytes::*counts) {
   const uint64_t from = frame_ % settings_.frames_in_flight * region_bytes_ + region_used_;
   FF_CHECK_LE(region_used_ + bytes, region_bytes_);
   FF_CHECK_LE(at + bytes, to.bytes());
   region_used_ += bytes;
-  uploaded_bytes_ += bytes;
+  uploaded_.*counts += bytes;
   copies.push_back({from, at, bytes});
   return staging_.mapped() + from;
 }
@@ -495,16 +504,35 @@ void VulkanGather::listSpans() {
 // Twice in a frame: the later counts.
 void VulkanGather::stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has) {
   FF_CHECK_EQ(values.size(), size_t{slots_});
-  std::byte* const at = has ? staging_.mapped() + copies.back().srcOffset : stage(to, 0, values.size_bytes(), copies);
+  if (has) FF_CHECK_EQ(copies.back().size, uint64_t{values.size_bytes()});
+  std::byte* const at = has ? staging_.mapped() + copies.back().srcOffset : stageLight(to, 0, values.size_bytes(), copies);
   repaired_ += copySound(values, {reinterpret_cast<Vec4*>(at), values.size()});
   has = true;
 }
 
+void VulkanGather::stageEntered(std::span<const Vec4> values, const MatrixChange& change, const Buffer& to, std::vector<VkBufferCopy>& copies) {
+  FF_CHECK_EQ(values.size(), size_t{slots_});
+  for (const uint32_t t : change.entered) {
+    const SlotRange& range = matrix_->tiles[t];
+    const auto entered = values.subspan(range.first_slot, range.nodes);
+    std::byte* const at = stageLight(to, range.first_slot * sizeof(Vec4), entered.size_bytes(), copies);
+    repaired_ += copySound(entered, {reinterpret_cast<Vec4*>(at), entered.size()});
+  }
+}
+
 Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
-  if (to_hold_ && has_source_)  // what is held back goes by those of before
+  if (has_source_)  // what is held back goes by those of before
     stageOnce(source, source_, copies_to_later_source_, has_later_source_);
   else
     stageOnce(source, source_, copies_to_source_, has_source_);
+  pace_.forget();
+  return {};
+}
+
+Result<void> VulkanGather::setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) {
+  if (has_source_) return setSource(source);
+  stageEntered(source, change, source_, copies_to_source_);
+  has_source_ = true;
   pace_.forget();
   return {};
 }
@@ -514,9 +542,16 @@ Result<void> VulkanGather::setEmission(std::span<const Vec4> emission) {
   return {};
 }
 
+Result<void> VulkanGather::setEnteredEmission(std::span<const Vec4> emission, const MatrixChange& change) {
+  FF_CHECK_EQ(has_emission_, false);
+  stageEntered(emission, change, emission_, copies_to_emission_);
+  has_emission_ = true;
+  return {};
+}
+
 void VulkanGather::setWeights(std::span<const float> weights) {
   FF_CHECK_EQ(weights.size(), size_t{slots_});
-  std::byte* const at = has_weights_ ? staging_.mapped() + copies_to_weights_.back().srcOffset : stage(weights_, 0, weights.size_bytes(), copies_to_weights_);
+  std::byte* const at = has_weights_ ? staging_.mapped() + copies_to_weights_.back().srcOffset : stageLight(weights_, 0, weights.size_bytes(), copies_to_weights_);
   std::memcpy(at, weights.data(), weights.size_bytes());
   has_weights_ = true;
 }
@@ -525,7 +560,7 @@ Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
   FF_CHECK_EQ(radiosity.size(), size_t{slots_});
   auto* to = reinterpret_cast<Vec4*>(
       has_radiosity_ ? staging_.mapped() + copies_to_radiosity_.back().srcOffset
-                     : stage(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
+                     : stageLight(radiosity_[now_], 0, radiosity.size_bytes(), copies_to_radiosity_));
   repaired_ += copySound(radiosity, {to, radiosity.size()});
   has_radiosity_ = true;
   stepped_ = false;
@@ -626,6 +661,7 @@ template <class Omega>
 Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega, int frames) {
   FF_CHECK_EQ(matrix_ != nullptr, true);
   const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
+  seen_holds_ = false;
   readTime(frame, false);
   const auto stamp = [&](uint32_t query) {
     if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, kQueries * frame + query);
@@ -678,6 +714,11 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   return {};
 }
 
+void VulkanGather::recordSeen(VkCommandBuffer c) {
+  const VkBufferCopy copy{0, 0, slots_ * sizeof(Vec4)};
+  vkCmdCopyBuffer(c, radiosity_[now_].handle(), seen_.handle(), 1, &copy);
+}
+
 template <class Omega>
 Result<void> VulkanGather::runSteps(int k, Omega&& omega, int frames) {
   double ms = 0;
@@ -685,13 +726,17 @@ Result<void> VulkanGather::runSteps(int k, Omega&& omega, int frames) {
     const int n = std::min(k - done, kIterationsPerSubmit);
     const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
     Result<void> recorded;
-    auto took = context_->run([&](VkCommandBuffer c) { recorded = recordSteps(c, n, omega, std::exchange(frames, 0)); });
+    auto took = context_->run([&](VkCommandBuffer c) {
+      recorded = recordSteps(c, n, omega, std::exchange(frames, 0));
+      if (recorded && done + n == k) recordSeen(c);
+    });
     if (!recorded) return recorded;
     if (!took) return took.error();
     last_ms_ = *took;
     readTime(frame, true);
     ms += last_ms_;
     done += n;
+    seen_holds_ = done == k;
   }
   last_ms_ = ms;
   return {};
@@ -737,7 +782,11 @@ Result<void> VulkanGather::approach(int k) {
 Result<void> VulkanGather::radiosity(std::span<Vec4> out) {
   FF_CHECK_EQ(out.size(), size_t{slots_});
   if (auto r = flush(); !r) return r;
-  return download(*context_, radiosity_[now_], 0, std::as_writable_bytes(out));
+  if (!seen_holds_)
+    if (auto ms = context_->run([&](VkCommandBuffer c) { recordSeen(c); }); !ms) return ms.error();
+  seen_holds_ = true;
+  std::memcpy(out.data(), seen_.mapped(), out.size_bytes());
+  return {};
 }
 
 Result<std::vector<uint32_t>> VulkanGather::row(uint32_t slot) {

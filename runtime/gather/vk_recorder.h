@@ -22,8 +22,10 @@ class VulkanRecorder : public Solver {
   // A second update() before a record() waits for the device to take up the first; so does radiosity().
   virtual Result<void> record(VkCommandBuffer commands, int iterations) = 0;
   // What slots emit, a vec4 each, W/m2: from the next record() on it is added to what radiosityBuffer() holds, and to nothing
-  // else. After an update() it has to be set again.
+  // else. After an update() it has to be set again, in one of these two ways.
   virtual Result<void> setEmission(std::span<const Vec4> emission) = 0;
+  // The same where only nodes that entered by the last update() have other values than were given before.
+  virtual Result<void> setEnteredEmission(std::span<const Vec4> emission, const MatrixChange& change) = 0;
   // In what the next record() leaves in radiosityBuffer(), and in that alone: how much of what a slot reflects is its own, from 0 to 1; the
   // rest is what its parent shows, as the same irradiance on the slot's albedo (cut_fade.h).
   virtual void setWeights(std::span<const float> weights) = 0;
@@ -32,9 +34,8 @@ class VulkanRecorder : public Solver {
   virtual VkBuffer radiosityBuffer() const = 0;
   // The same without what slots emit, as the last record() leaves it; another buffer after the next.
   virtual VkBuffer reflectedBuffer() const = 0;
-  // M per slot, a vec4 each: what setSource() fills. The caller's shaders may write it instead, between records.
+  // M per slot, a vec4 each: what setSource() fills, and setEnteredSource() for what entered. The caller's shaders may write it instead, between records.
   virtual VkBuffer sourceBuffer() const = 0;
-  virtual uint64_t uploadedBytes() const = 0;  // since the start
   // As lastMs(), of what the last record() did before its iterations: uploads, resolving, warm start.
   virtual double lastChangeMs() const = 0;
   // Largest |M + C F B - B| over the largest B of any channel, before the last step of the record frames_in_flight ago,

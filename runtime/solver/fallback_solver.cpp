@@ -15,16 +15,22 @@ class Fallback final : public FallbackSolver {
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     matrix_ = &matrix;
     if (change.renumbered) last_seen_.clear();
-    last_seen_.resize(matrix.slots());
+    for (auto* per_slot : {&last_seen_, &source_}) per_slot->resize(matrix.slots());
     for (const uint32_t t : change.entered)
       for (uint32_t i = 0, slot = matrix.tiles[t].first_slot; i < matrix.tiles[t].nodes; ++i, ++slot)
         last_seen_[slot] = matrix.parent_slot[slot] != kNoSlot ? last_seen_[matrix.parent_slot[slot]] : Vec4{};
-    source_.clear();
     return attempt([&](Solver& s) { return s.update(matrix, change); });
   }
   Result<void> setSource(std::span<const Vec4> source) override {
     source_.assign(source.begin(), source.end());
     return attempt([&](Solver& s) { return s.setSource(source_); });
+  }
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override {
+    for (const uint32_t t : change.entered) {
+      const SlotRange& range = matrix_->tiles[t];
+      std::copy_n(source.begin() + range.first_slot, range.nodes, source_.begin() + range.first_slot);
+    }
+    return attempt([&](Solver& s) { return s.setEnteredSource(source_, change); });
   }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
     last_seen_.assign(radiosity.begin(), radiosity.end());
@@ -46,6 +52,7 @@ class Fallback final : public FallbackSolver {
     return r;
   }
   uint64_t repaired() const override { return inUse().repaired(); }
+  UploadedBytes uploaded() const override { return first_->uploaded(); }
   double lastMs() const override { return inUse().lastMs(); }
   const char* name() const override { return inUse().name(); }
   const std::string& reason() const override { return reason_; }
@@ -61,8 +68,7 @@ class Fallback final : public FallbackSolver {
     reason_ = r.error().line();
     if (auto set = second_->update(*matrix_, {}); !set) return set;
     if (auto set = second_->setRadiosity(last_seen_); !set) return set;
-    if (!source_.empty())
-      if (auto set = second_->setSource(source_); !set) return set;
+    if (auto set = second_->setSource(source_); !set) return set;
     return call(*second_);
   }
 

@@ -10,6 +10,12 @@
 
 namespace ff::runtime {
 
+// What has crossed the bus to a solver's device since the start, bytes; none on the CPU.
+struct UploadedBytes {
+  uint64_t rows = 0;   // of the matrix: packed rows, pages, lists of what to do with them; blocks of dense matrices, and what watches these
+  uint64_t light = 0;  // by slot: sources, radiosity to go on from, emission, weights of what fades
+};
+
 class Solver {
  public:
   virtual ~Solver() = default;
@@ -38,6 +44,7 @@ class Solver {
   // Values that were no sound light, since the start: of sources and radiosities given, taken for 0; of a step's
   // results, where the slot has gone on from its source. No step leaves any. Recorded steps count when they have run.
   virtual uint64_t repaired() const { return 0; }
+  virtual UploadedBytes uploaded() const { return {}; }
   // Time of the last iterate(), ms, on the clock of the device that ran it.
   virtual double lastMs() const = 0;
   virtual const char* name() const = 0;  // "cpu", "vulkan: llvmpipe ..."

@@ -1,6 +1,6 @@
 // ff_bench_stream: flies through a world in real time, 60 frames a second, with nothing of it in the kernel's page cache: how late tiles are,
-// what the frame's thread has to do, what the disk reads, and how much the light of surfaces jumps under light that does not change (by
-// night: lit windows are the hard case, where a cluster stands for several lamps). Prints JSON lines.
+// what the frame's thread has to do, what the disk reads, what crosses the bus to a device, and how much the light of surfaces jumps under light that
+// does not change (by night: lit windows are the hard case, where a cluster stands for several lamps). Prints JSON lines.
 #include <fcntl.h>
 #include <unistd.h>
 #include <zstd.h>
@@ -12,9 +12,12 @@
 #include <set>
 
 #include "formats/codec/records.h"
+#include "runtime/dense/cpu_multibounce.h"
 #include "runtime/full_solve.h"
+#include "runtime/gather/shown_light.h"
 #include "runtime/reload.h"
 #include "runtime/updater.h"
+#include "runtime/vulkan/context.h"
 #include "stream/file_source.h"
 #include "stream/strip_loader.h"
 #include "tests/bench/flight_paths.h"
@@ -28,13 +31,13 @@ using namespace ff;
 using namespace ff::bench;
 
 constexpr double kFrameSeconds = 1.0 / 60;
-constexpr int kIterations = 2;  // a frame, as the C interface does
 constexpr float kJump = 0.02f;
 constexpr int kFramesBefore = 24;
 
 struct Options {
-  std::string world, reader, path, replay;
+  std::string world, reader, path, replay, solver = "gather";
   uint64_t patches = 60000;
+  uint32_t max_patches = stream::StreamSettings().max_level0_nodes, places = 4096;
   uint32_t rays = 512;
   double seconds = 15;
   float height_m = 1.6f;
@@ -43,7 +46,8 @@ struct Options {
   uint32_t max_applied_tiles = 0;
   uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
-  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false;
+  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false;
+  int iterations() const { return solver == "gather" ? 2 : 1; }  // a frame, as the C interface does
 };
 
 double threadMs() {
@@ -73,19 +77,38 @@ void dropFromPageCache(const formats::World& world) {
   }
 }
 
+// A solver as the C interface makes it.
+std::unique_ptr<runtime::Solver> makeSolver(const Options& options, const formats::World& world) {
+  const runtime::MultibounceSettings dense{.places = options.places, .storage = runtime::Storage::kFloat16};
+  if (!options.vulkan) {
+    if (options.solver == "gather") return runtime::makeCpuGather();
+    return runtime::makeDenseSolver(orExit(runtime::makeCpuMultibounce(dense)));
+  }
+  static const std::shared_ptr<runtime::VkContext> context = orExit(runtime::openVulkan());
+  const runtime::VulkanGatherSettings room = runtime::gatherRoomFor(world);
+  return options.solver == "gather" ? orExit(runtime::makeVulkanRecorder(context, room)) : orExit(runtime::makeVulkanDenseRecorder(context, room, dense));
+}
+
 // Times a solver's steps, so that a frame can be told without them.
 class TimedSolver final : public runtime::Solver {
  public:
   explicit TimedSolver(std::unique_ptr<Solver> of) : of_(std::move(of)) {}
+  // Whose steps it makes. A recorder is told what it shows, as where it records.
+  void follow(const runtime::Updater& updater) { updater_ = &updater; }
   Result<void> update(const runtime::LocalMatrix& m, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->update(m, c); }); }
   Result<void> setSource(std::span<const Vec4> source) override { return timed(update_, [&] { return of_->setSource(source); }); }
   Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->setEnteredSource(source, c); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
   void ease(uint32_t frames) override { of_->ease(frames); }
-  Result<void> iterate(int k) override { return timed(steps_, [&] { return of_->iterate(k); }); }
+  Result<void> iterate(int k) override {
+    if (auto* const recorder = dynamic_cast<runtime::VulkanRecorder*>(of_.get()); recorder && updater_)
+      if (auto told = timed(update_, [&] { return shown_.tell(*recorder, *updater_); }); !told) return told;
+    return timed(steps_, [&] { return of_->iterate(k); });
+  }
   Result<void> approach(int k) override { return timed(steps_, [&] { return of_->approach(k); }); }
   Result<void> radiosity(std::span<Vec4> out) override { return of_->radiosity(out); }
   uint64_t repaired() const override { return of_->repaired(); }
+  runtime::UploadedBytes uploaded() const override { return of_->uploaded(); }
   double lastMs() const override { return of_->lastMs(); }
   const char* name() const override { return of_->name(); }
 
@@ -106,6 +129,8 @@ class TimedSolver final : public runtime::Solver {
     return result;
   }
   std::unique_ptr<Solver> of_;
+  const runtime::Updater* updater_ = nullptr;
+  runtime::ShownLight shown_;
   Spent steps_, update_;
 };
 
@@ -130,6 +155,7 @@ std::string number(double x) {
 // What a path's passes came to.
 struct Flown {
   std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, near, far;
+  std::vector<double> uploaded, uploaded_rows, uploaded_light;  // KiB a frame
   uint64_t frames = 0, frames_late = 0, late = 0, wanted = 0, frames_jump_near = 0, frames_jump_far = 0, changes = 0;
   SurfaceLight::Error near_error, far_error;
   uint32_t most_applied = 0;  // tiles that entered in a frame
@@ -169,16 +195,21 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     stream::StreamSettings settings;
     settings.radius_m *= whole.info().cell_m;
     settings.read_bytes_per_second = options.bytes_per_second;
+    settings.max_level0_nodes = options.max_patches;
     settings.background = !options.in_frame;
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
-    TimedSolver solver(runtime::makeCpuGather());
-    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames}, options.max_applied_tiles);
+    TimedSolver solver(makeSolver(options, world));
+    Clock::time_point now_stepped = Clock::now();
+    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames}, options.max_applied_tiles,
+                             options.stepped ? stream::Now([&] { return now_stepped; }) : Clock::now);
+    solver.follow(updater);
     orExit(updater.setSky(skyOf(options)));
     const FlightPath::Moment first = path.moment(pass, 0);
     streamer->update(first.at, first.velocity);
     orExit(streamer->settle());
     for (int k = kFramesBefore; k-- > 0;) {  // as one that is flying already: what it takes to build a matrix is known, and how long frames are
-      std::this_thread::sleep_for(std::chrono::duration<double>(kFrameSeconds));
+      if (!options.stepped) std::this_thread::sleep_for(std::chrono::duration<double>(kFrameSeconds));
+      now_stepped += std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(kFrameSeconds));
       updater.awaitCut();
       (void)orExit(updater.frame(first.at - first.velocity * static_cast<float>(k * kFrameSeconds), first.velocity, 1));
       orExit(streamer->settle());
@@ -199,7 +230,13 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     const auto start = Clock::now();
     int jumped_at = -1;
     for (int f = 1; f <= frames; ++f) {
-      std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(f * kFrameSeconds)));
+      if (options.stepped) {
+        orExit(streamer->settle());
+        updater.awaitBuild();
+        now_stepped += std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(kFrameSeconds));
+      } else {
+        std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(f * kFrameSeconds)));
+      }
       const FlightPath::Moment now = path.moment(pass, f * kFrameSeconds);
       if (hint_seconds > 0)
         if (const FlightPath::Moment then = path.moment(pass, f * kFrameSeconds + hint_seconds); then.jumped) {
@@ -212,12 +249,17 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       }
       const auto began = Clock::now();
       const double cpu = threadMs();
-      const runtime::FrameStats stats = orExit(updater.frame(now.at, now.velocity, kIterations));
+      const runtime::UploadedBytes uploaded = solver.uploaded();
+      const runtime::FrameStats stats = orExit(updater.frame(now.at, now.velocity, options.iterations()));
       const double frame_ms = msSince(began), frame_cpu_ms = threadMs() - cpu;
       const TimedSolver::Spent steps = solver.takeSteps(), update = solver.takeUpdate();
       flown.frame_ms.push_back(frame_ms - steps.wall_ms);
       flown.frame_cpu_ms.push_back(frame_cpu_ms - steps.cpu_ms);
       flown.solver_update_cpu_ms.push_back(update.cpu_ms);
+      const auto kib = [](uint64_t bytes) { return static_cast<double>(bytes) / 1024; };
+      flown.uploaded_rows.push_back(kib(stats.uploaded.rows - uploaded.rows));
+      flown.uploaded_light.push_back(kib(stats.uploaded.light - uploaded.light));
+      flown.uploaded.push_back(flown.uploaded_rows.back() + flown.uploaded_light.back());
       flown.stream_ms.push_back(stats.stream_ms);
       flown.matrix_ms.push_back(stats.matrix_ms - update.wall_ms);
       flown.changes += stats.matrix_changed;
@@ -283,6 +325,10 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
     print(metric, quantile(flown.frame_ms, share), "ms", limit,
           note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles",
           "cpu");
+  if (quantile(flown.uploaded, 1) > 0)
+    for (const auto& [metric, share] : {std::pair{"stream.uploaded_p50_kib", 0.5}, std::pair{"stream.uploaded_p99_kib", 0.99}, std::pair{"stream.uploaded_max_kib", 1.0}})
+      print(metric, quantile(flown.uploaded, share), "KiB", std::nan(""),
+            note + "; what crosses the bus to the device in a frame; of rows alone " + number(quantile(flown.uploaded_rows, share)) + ", of light " + number(quantile(flown.uploaded_light, share)), "vulkan");
   print("stream.read_amplification", ratio(flown.device_bytes, flown.used_bytes), "ratio", 2.5,
         note + "; bytes that the disk read over those of strips that became active, " + number(static_cast<double>(flown.used_bytes) / 1e6) + " MB; strips read over the same " +
             number(ratio(flown.read_bytes, flown.used_bytes)) + ", with what lies between them " + number(ratio(flown.read_bytes + flown.gap_bytes, flown.used_bytes)) + "; " + number(static_cast<double>(flown.device_bytes) / 1e6 / flown.seconds) + " MB/s from the disk");
@@ -325,7 +371,7 @@ void printReload(const formats::WholeWorld& whole, const std::string& name, cons
       before = std::exchange(shown, reloader.take());
       shown->updater.goOnFrom(before->updater);
     }
-    (void)orExit(shown->updater.frame(observers, kIterations));
+    (void)orExit(shown->updater.frame(observers, options.iterations()));
     const TimedSolver::Spent steps = solver.takeSteps();
     (before ? over_ms : other_ms).push_back(msSince(began) - steps.wall_ms);
     if (before) {
@@ -384,6 +430,11 @@ int main(int argc, char** argv) {
   app.add_option("--world", options.world, "a baked world; without it a town is baked");
   app.add_flag("--quick", options.quick, "a smaller town, shorter paths");
   app.add_option("--patches", options.patches, "of the town that is baked: 60000, 60k, 1M")->transform(CLI::AsSizeValue(true))->capture_default_str();
+  app.add_option("--solver", options.solver, "gather or multibounce")->check(CLI::IsMember({"gather", "multibounce"}))->capture_default_str();
+  app.add_option("--places", options.places, "of multibounce's dense matrix")->check(CLI::Range(64, 65536))->capture_default_str();
+  app.add_flag("--vulkan", options.vulkan, "on a Vulkan device, as an engine records it");
+  app.add_option("--max-patches", options.max_patches, "of the finest level, active at once")->capture_default_str();
+  app.add_flag("--stepped", options.stepped, "a frame follows when all that the one before asked for is there, and finds that 1/60 s has passed: for solvers that take longer");
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
   app.add_option("--path", options.path, "paths whose names begin so, reload, or decoding; all without it");
@@ -410,7 +461,7 @@ int main(int argc, char** argv) {
   const runtime::Sky sky = skyOf(options);
   const auto source = orExit(runtime::fullSource(world, {}, sky, runtime::Lamps(world.info())));
   SurfaceLight surface(world, orExit(runtime::solveFullWorld(world, source, {.tolerance = 1e-6})).radiosity);
-  const std::string name = std::to_string(world.levels()[0].nodes) + " patches" + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
+  const std::string name = std::to_string(world.levels()[0].nodes) + " patches, " + options.solver + (options.vulkan ? " on Vulkan" : "") + (options.stepped ? ", stepped" : "") + (options.delay_ms > 0 ? ", reads " + number(options.delay_ms) + " ms late" : "");
   const bool recorded = !options.replay.empty();
   for (const FlightPath& path : recorded ? std::vector{orExit(recordedPath(options.replay, world.info().origin))} : flightPaths(world.info().bounds, options.height_m, options.seconds)) {
     if (!recorded && !path.name.starts_with(options.path)) continue;

@@ -81,16 +81,16 @@ void printTile(const std::shared_ptr<VkContext>& context, const std::string& wor
     return recorder->lastChangeMs();
   };
   apply(all);
-  const uint64_t everything = recorder->uploadedBytes();
+  const uint64_t everything = recorder->uploaded().rows;
   std::vector<double> ms, bytes, entries;
   const size_t most = quick ? 8 : 40;
   for (size_t t = 0; t < all.size() && all[t]->id.level == 0 && ms.size() < most; ++t) {
     std::vector<stream::StripPtr> without(all.begin(), all.end());
     without.erase(without.begin() + static_cast<std::ptrdiff_t>(t));
     apply(without);
-    const uint64_t before = recorder->uploadedBytes();
+    const uint64_t before = recorder->uploaded().rows;
     ms.push_back(apply(all));
-    bytes.push_back(static_cast<double>(recorder->uploadedBytes() - before));
+    bytes.push_back(static_cast<double>(recorder->uploaded().rows - before));
     entries.push_back(all[t]->row_start.back());
   }
   std::filesystem::remove_all(folder);

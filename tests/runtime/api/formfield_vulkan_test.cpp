@@ -59,6 +59,12 @@ class FormfieldVulkan : public testing::Test {
     formfieldCloseWorld(world);
     return light;
   }
+  static FormfieldStats statsOf(FormfieldWorld world) {
+    FormfieldStats stats{};
+    stats.size = sizeof(stats);
+    EXPECT_EQ(formfieldGetStats(world, &stats), FORMFIELD_OK);
+    return stats;
+  }
   // A world whose solver takes no command buffers, and says why.
   void expectDoesNotRecord(FormfieldDevice device, FormfieldWorld world, const char* why) {
     EXPECT_EQ(formfieldRecord(world, nullptr, kAt, nullptr), FORMFIELD_ERROR_UNSUPPORTED);
@@ -181,9 +187,10 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     return sum / static_cast<double>(slot_of.size());
   };
 
-  constexpr int kFrames = 160, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
+  constexpr int kFrames = 160, kSwitch = 30, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
   double before = 0;
   bool anew = false;
+  uint64_t entered_nodes = 0;
   for (int frame = 0; frame < kFrames; ++frame) {
     const int ring = frame % 2;
     if (frame >= 2) {
@@ -193,7 +200,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     auto begin = zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     ASSERT_EQ(vkBeginCommandBuffer(commands[ring], &begin), VK_SUCCESS);
-    for (uint32_t g = 0; frame == 30 && g < 2; ++g)  // a switch in mid-flight
+    for (uint32_t g = 0; frame == kSwitch && g < 2; ++g)  // a switch in mid-flight
       ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
     // In from afar, then still: cuts change while frames are in flight.
     const double at[3] = {std::max(16.0, 28 - 0.2 * frame), 1, 16};
@@ -209,8 +216,21 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     }
     if (frame > kAnew && frame <= kAnew + 2) world->updater().awaitBuild();
     const uint64_t submissions = device_->submissions();
+    const uint32_t reloads = world->reloads;
+    const uint64_t uploaded = statsOf(world).uploaded_light_bytes;
     ASSERT_EQ(formfieldRecord(world, commands[ring], at, nullptr), FORMFIELD_OK) << formfieldError(device_);
     EXPECT_EQ(device_->submissions(), submissions) << "frame " << frame << " has waited for the device";
+    const uint64_t light_bytes = statsOf(world).uploaded_light_bytes - uploaded;
+    const uint64_t all_slots = world->updater().matrix().slots();
+    const bool cut_changed = world->frame_stats.matrix_changed, given_anew = cut_changed && world->updater().change().renumbered;
+    if (frame == 0 || frame == kSwitch) {
+      EXPECT_GE(light_bytes, all_slots * sizeof(Vec4)) << "frame " << frame;
+    } else if (!given_anew && world->reloads == reloads) {  // sources and emission of what entered, and weights of what fades
+      uint64_t nodes = 0;
+      for (size_t i = 0; cut_changed && i < world->updater().change().entered.size(); ++i) nodes += world->updater().matrix().tiles[world->updater().change().entered[i]].nodes;
+      EXPECT_LE(light_bytes, 2 * nodes * sizeof(Vec4) + all_slots * sizeof(float)) << "frame " << frame;
+      entered_nodes += nodes;
+    }
     anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater().change().renumbered);
     EXPECT_TRUE(frame != kAnew + 2 || anew);
     EXPECT_EQ(world->reloads, frame < kReload ? 0u : 1u);
@@ -227,6 +247,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     for (uint32_t i = 0; i < 4 * slots; ++i) ASSERT_LT(std::abs(lagging[i]), 1000.0f);  // no garbage in new slots
   }
   ASSERT_EQ(vkDeviceWaitIdle(device), VK_SUCCESS);
+  EXPECT_GT(entered_nodes, 0u);
   EXPECT_EQ(formfieldRadiosityBuffer(world), buffer);
   // The device's own buffer holds the same, emission included.
   uint32_t used = 0, tiles = 0;

@@ -47,6 +47,53 @@ INSTANTIATE_TEST_SUITE_P(
 
 class VkShine : public ValidatedVulkan {};
 
+// What is shown is the same, to the bit, whether all emission or that of what entered is given with each cut, and what has left shows none.
+TEST_F(VkShine, EmissionOfWhatEnteredIsAsGoodAsAll) {
+  const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 3});
+  std::vector<std::vector<Vec4>> shown;
+  uint32_t free = 0;
+  for (const bool entered_alone : {false, true}) {
+    auto made = makeVulkanRecorder(context_, kRoom);
+    ASSERT_TRUE(made) << made.error().line();
+    VulkanRecorder& recorder = **made;
+    MatrixAssembler assembler(test.world());
+    const LocalMatrix& m = assembler.matrix();
+    for (uint64_t step = 0; step < 6; ++step) {
+      ASSERT_TRUE(assembler.update(test.randomCut(0.5 + 0.1 * static_cast<double>(step % 3), 10 + step)));
+      const MatrixChange& change = assembler.change();
+      ASSERT_TRUE(recorder.update(m, change));
+      ASSERT_TRUE(recorder.setSource(sourceOf(m)));
+      const std::vector<Vec4> emission = sourceOf(m, 2);  // by node, and none of free slots
+      ASSERT_TRUE(entered_alone && !change.renumbered ? recorder.setEnteredEmission(emission, change) : recorder.setEmission(emission));
+      auto copied = Buffer::create(*context_, m.slots() * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT, MemoryUse::kHost);
+      ASSERT_TRUE(copied) << copied.error().line();
+      Result<void> recorded;
+      ASSERT_TRUE(context_->run([&](VkCommandBuffer commands) {
+        recorded = recorder.record(commands, 2);
+        const VkBufferCopy copy{0, 0, m.slots() * sizeof(Vec4)};
+        vkCmdCopyBuffer(commands, recorder.radiosityBuffer(), copied->handle(), 1, &copy);
+        barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+      }));
+      ASSERT_TRUE(recorded);
+      std::vector<Vec4>& light = shown.emplace_back(m.slots());
+      std::memcpy(light.data(), copied->mapped(), m.slots() * sizeof(Vec4));
+      for (uint32_t s = 0; s < m.slots(); ++s) {
+        if (m.leaf[s]) continue;
+        bool used = false;
+        for (const SlotRange& range : m.tiles) used = used || s - range.first_slot < range.nodes;
+        if (used) continue;
+        ++free;
+        ASSERT_EQ(light[s].x + light[s].y + light[s].z, 0) << "free slot " << s;
+      }
+    }
+  }
+  EXPECT_GT(free, 0u);
+  for (size_t step = 0; step < 6; ++step) {
+    ASSERT_EQ(shown[step].size(), shown[6 + step].size());
+    for (size_t s = 0; s < shown[step].size(); ++s) ASSERT_EQ(distance(shown[step][s], shown[6 + step][s]), 0) << "step " << step << ", slot " << s;
+  }
+}
+
 TEST_F(VkShine, WhatFadesIsSeenAsItsParentsIrradiance) {
   const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 3});
   auto made = makeVulkanRecorder(context_, kRoom);

@@ -281,6 +281,27 @@ TEST_F(VkGather, TakesAnotherMatrixAndForgetsTheLast) {
   }
 }
 
+// What a frame that waits for the device costs: one submission, and nothing taken from the driver.
+TEST_F(VkGather, ASubmissionBringsItsLightAlong) {
+  auto solver = makeVulkanGather(context_);
+  ASSERT_TRUE(solver);
+  const LocalMatrix m = randomMatrix(900, 90, 2, 3);
+  ASSERT_TRUE(setMatrix(**solver, m));
+  std::vector<Vec4> seen(m.slots()), again(m.slots());
+  for (int frame = 0; frame < 3; ++frame) {
+    const auto source = randomSource(m.slots(), static_cast<uint64_t>(frame));
+    ASSERT_TRUE((*solver)->setSource(source));
+    const uint64_t before = context_->submissions();
+    ASSERT_TRUE((*solver)->iterate(2));
+    ASSERT_TRUE((*solver)->radiosity(seen));
+    EXPECT_EQ(context_->submissions() - before, 1u);
+  }
+  const std::vector<Vec4> given(m.slots(), Vec4{5, 6, 7, 0});  // light that came otherwise is seen as well
+  ASSERT_TRUE((*solver)->setRadiosity(given));
+  ASSERT_TRUE((*solver)->radiosity(again));
+  EXPECT_EQ(again[0].y, 6);
+}
+
 // Synchronisation validation does not see a missing barrier between two dispatches that write one buffer, so the
 // barriers are tested by results: many iterations over a chain in which every iteration needs the last one's light.
 TEST_F(VkGather, GivesTheSameBitsEveryTime) {

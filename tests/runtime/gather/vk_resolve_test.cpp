@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include "runtime/cut/matrix_assembler.h"
 #include "runtime/gather/gather_layout.h"
@@ -114,16 +115,48 @@ TEST_F(VkResolve, UploadsOnlyWhatEntered) {
   Cut cut = test.randomCut(1.0, 1);
   ASSERT_TRUE(assembler.update(cut));
   ASSERT_TRUE(solver->update(assembler.matrix(), assembler.change()));
-  const uint64_t everything = solver->uploadedBytes();
+  const uint64_t everything = solver->uploaded().rows;
   const auto without = cut;
   cut.erase(cut.begin());  // one tile of the finest level
   for (const Cut& next : {cut, without}) {
-    const uint64_t before = solver->uploadedBytes();
+    const uint64_t before = solver->uploaded().rows;
     ASSERT_TRUE(assembler.update(next));
     ASSERT_TRUE(solver->update(assembler.matrix(), assembler.change()));
-    EXPECT_LT(solver->uploadedBytes() - before, everything / 4);
+    EXPECT_LT(solver->uploaded().rows - before, everything / 4);
     expectSameRows(*solver, assembler.matrix());
   }
+}
+
+// Of what surfaces reflect without a bounce, and of what they emit: all where the light changes, else what entered.
+TEST_F(VkResolve, UploadsTheLightOfWhatEnteredAlone) {
+  const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 7});
+  MatrixAssembler assembler(test.world());
+  const auto solver = make(kFewSlots);
+  ASSERT_TRUE(solver);
+  const LocalMatrix& m = assembler.matrix();
+  uint64_t before = 0;
+  const auto uploaded = [&] { return solver->uploaded().light - std::exchange(before, solver->uploaded().light); };
+  ASSERT_TRUE(assembler.update(test.randomCut(0.6, 1)));
+  ASSERT_TRUE(solver->update(m, assembler.change()));
+  ASSERT_TRUE(solver->setSource(lightOf(m, 1)) && solver->setEmission(lightOf(m, 2)) && solver->iterate(1));
+  EXPECT_EQ(uploaded(), 2 * m.slots() * sizeof(Vec4));
+  uint64_t entered = 0;
+  for (uint64_t step = 2; step < 8; ++step) {
+    ASSERT_TRUE(assembler.update(test.randomCut(0.6, step)));
+    const MatrixChange& change = assembler.change();
+    ASSERT_FALSE(change.renumbered);
+    ASSERT_TRUE(solver->update(m, change));
+    ASSERT_TRUE(solver->setEnteredSource(lightOf(m, step), change) && solver->setEnteredEmission(lightOf(m, step), change) && solver->iterate(1));
+    uint64_t nodes = 0;
+    for (const uint32_t t : change.entered) nodes += m.tiles[t].nodes;
+    EXPECT_EQ(uploaded(), 2 * nodes * sizeof(Vec4)) << "step " << step;
+    entered += nodes;
+    ASSERT_TRUE(solver->iterate(1));
+    EXPECT_EQ(uploaded(), 0u);
+  }
+  EXPECT_GT(entered, 0u);
+  ASSERT_TRUE(solver->setSource(lightOf(m, 9)) && solver->iterate(1));
+  EXPECT_EQ(uploaded(), m.slots() * sizeof(Vec4));
 }
 
 // Vectors of entries that the tiles of a matrix take, as GatherLayout counts them.

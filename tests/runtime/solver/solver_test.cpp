@@ -2,12 +2,14 @@
 
 #include <cmath>
 
+#include "runtime/cut/matrix_assembler.h"
 #include "runtime/cut/node_values.h"
 #include "runtime/full_solve.h"
 #include "runtime/gather/gather_kernels.h"
 #include "runtime/solver/fallback_solver.h"
 #include "runtime/solver/worker_pool.h"
 #include "tests/runtime/solver/bad_numbers.h"
+#include "tests/runtime/solver/solver_truth.h"
 #include "tests/runtime/test_world.h"
 #include "tests/support/hand_made.h"
 
@@ -420,6 +422,56 @@ TEST(Fallback, TheSolverThatFailsStaysUntilTheEndAndIsAskedNoMore) {
   for (size_t slot = 0; slot < light.size(); ++slot) ASSERT_EQ(light[slot].x, expected[slot].x);
   solver.reset();
   EXPECT_TRUE(gone);
+}
+
+class FailsLater final : public Solver {
+ public:
+  explicit FailsLater(int calls) : left_(calls), cpu_(makeCpuGather(1)) {}
+  Result<void> update(const LocalMatrix& m, const MatrixChange& change) override { return call([&] { return cpu_->update(m, change); }); }
+  Result<void> setSource(std::span<const Vec4> source) override { return call([&] { return cpu_->setSource(source); }); }
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override { return call([&] { return cpu_->setEnteredSource(source, change); }); }
+  Result<void> setRadiosity(std::span<const Vec4> b) override { return call([&] { return cpu_->setRadiosity(b); }); }
+  Result<void> iterate(int k) override { return call([&] { return cpu_->iterate(k); }); }
+  Result<void> radiosity(std::span<Vec4> out) override { return call([&] { return cpu_->radiosity(out); }); }
+  double lastMs() const override { return 0; }
+  const char* name() const override { return "fails later"; }
+
+ private:
+  template <class Call>
+  Result<void> call(Call&& made) {
+    if (left_-- > 0) return made();
+    return Error{ErrorCode::kIo, "", "", "lost", "", ErrorCause::kDeviceLost};
+  }
+  int left_;
+  std::unique_ptr<Solver> cpu_;
+};
+
+// Wherever in a walk the first solver fails, the second knows the sources of all nodes, though each cut came with those of what entered.
+TEST(Fallback, TheSecondSolverKnowsTheSourcesOfAllNodes) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 3});
+  constexpr int kCuts = 4, kCalls = 3 * kCuts;  // update, sources, a step
+  for (int calls = 0; calls < kCalls; ++calls) {
+    auto solver = makeFallbackSolver(std::make_unique<FailsLater>(calls), makeCpuGather(1));
+    MatrixAssembler assembler(test.world());
+    const LocalMatrix& m = assembler.matrix();
+    const auto source = [&] {  // by node, the same in every cut
+      std::vector<Vec4> by_slot(m.slots());
+      for (const SlotRange& range : m.tiles)
+        for (uint32_t i = 0; i < range.nodes; ++i) by_slot[range.first_slot + i] = {static_cast<float>(1 + (range.first_node + i) % 7), 1, static_cast<float>(range.id.level), 0};
+      return by_slot;
+    };
+    for (uint64_t cut = 0; cut < kCuts; ++cut) {
+      ASSERT_TRUE(assembler.update(test.randomCut(0.5, cut)));
+      ASSERT_TRUE(solver->update(m, assembler.change()));
+      ASSERT_TRUE(cut == 0 ? solver->setSource(source()) : solver->setEnteredSource(source(), assembler.change()));
+      ASSERT_TRUE(solver->iterate(1));
+    }
+    EXPECT_STREQ(solver->name(), "cpu");
+    ASSERT_TRUE(solver->iterate(300));
+    std::vector<Vec4> light(m.slots());
+    ASSERT_TRUE(solver->radiosity(light));
+    EXPECT_LT(differenceOf(m, light, converged(m, source())), 1e-5) << "after " << calls << " calls";
+  }
 }
 
 }  // namespace
