@@ -22,7 +22,7 @@ struct alignas(16) mat4 {
 // but a thousandth. Its square times 65536 is still a number.
 FF_CONST float kMaxRadiosity = 1e15f;
 
-// --- gather*.comp, ease.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
+// --- gather*.comp, ease.comp, fade.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
@@ -85,10 +85,19 @@ struct SlotSpan {
   uint first_slot;
   uint slots;
 };
+// Consecutive slots whose tile fades out.
+struct FadingSlots {
+  uint first_slot;
+  uint slots;
+  float own;  // of what they show, so much is their own; the rest is what their parents show
+};
+struct FadePush {
+  uint record;  // that the weights count for
+};
 struct ShinePush {
   uint slots;
   uint stepped;  // 1: a step was made with these sources
-  uint fades;    // 1: weights count
+  uint fades;    // weights of this record count; 0: nothing fades
 };
 struct RefinePush {
   uint first;   // span

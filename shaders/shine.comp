@@ -9,7 +9,7 @@ layout(push_constant) uniform Push { ShinePush push; };
 layout(std430, binding = 0) readonly buffer Reflected { vec4 reflected[]; };
 layout(std430, binding = 1) readonly buffer Emission { vec4 emission[]; };
 layout(std430, binding = 2) writeonly buffer Radiosity { vec4 radiosity[]; };
-layout(std430, binding = 3) readonly buffer Weights { float weights[]; };
+layout(std430, binding = 3) readonly buffer Weights { uvec2 weights[]; };  // fade.comp
 layout(std430, binding = 4) readonly buffer Parents { uint parents[]; };
 layout(std430, binding = 5) readonly buffer Albedo { vec4 albedo[]; };
 layout(std430, binding = 6) readonly buffer Source { vec4 source[]; };
@@ -18,7 +18,7 @@ layout(std430, binding = 7) writeonly buffer LastSource { vec4 last_source[]; };
 vec3 shown(uint slot) {
   vec3 sum = vec3(0), share = vec3(1);  // share: of what the slot at hand shows
   for (;;) {
-    const float own = weights[slot];
+    const float own = weights[slot].y == push.fades ? uintBitsToFloat(weights[slot].x) : 1.0;
     const uint parent = parents[slot];
     if (own == 1.0 || parent >= kFreeSlot) return sum + share * reflected[slot].rgb;
     const vec3 from = albedo[parent].rgb;

@@ -235,11 +235,10 @@ void CutFade::blend(const LocalMatrix& matrix, std::span<Vec4> reflected) const 
   }
 }
 
-bool CutFade::weights(const LocalMatrix& matrix, std::vector<float>& own) const {
-  if (std::ranges::all_of(tiles_, [](const Tile& tile) { return tile.weight == 1; })) return false;
-  own.assign(matrix.slots(), 1);
-  for (size_t t = 0; t < tiles_.size(); ++t) std::fill_n(own.begin() + matrix.tiles[t].first_slot, matrix.tiles[t].nodes, tiles_[t].weight);
-  return true;
+void CutFade::fadingSlots(const LocalMatrix& matrix, std::vector<shaders::FadingSlots>& fading) const {
+  fading.clear();
+  for (size_t t = 0; t < tiles_.size(); ++t)
+    if (tiles_[t].weight < 1) fading.push_back({matrix.tiles[t].first_slot, matrix.tiles[t].nodes, tiles_[t].weight});
 }
 
 }  // namespace ff::runtime

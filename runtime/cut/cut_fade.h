@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "shaders/shared.h"
 #include "stream/observers.h"
 
 namespace ff::runtime {
@@ -35,8 +36,8 @@ class CutFade {
 
   // Makes what slots show of what they reflect, W/m2. What a parent shows counts as the same irradiance on its child's albedo.
   void blend(const LocalMatrix& matrix, std::span<Vec4> reflected) const;
-  // The same for who does it elsewhere: how much of what it shows is a slot's own, by slot. Whether any is less than 1; else there is nothing to blend.
-  bool weights(const LocalMatrix& matrix, std::vector<float>& own) const;
+  // The same for who does it elsewhere: the slots of tiles of which less than all that they show is their own.
+  void fadingSlots(const LocalMatrix& matrix, std::vector<shaders::FadingSlots>& fading) const;
   uint32_t frames() const { return settings_.frames; }
 
  private:

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "ease_comp.h"
+#include "fade_comp.h"
 #include "gather_change_comp.h"
 #include "gather_comp.h"
 #include "gather_enter_comp.h"
@@ -68,7 +69,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> record(VkCommandBuffer commands, int iterations) override;
   Result<void> setEmission(std::span<const Vec4> emission) override;
   Result<void> setEnteredEmission(std::span<const Vec4> emission, const MatrixChange& change) override;
-  void setWeights(std::span<const float> weights) override;
+  void setFading(std::span<const shaders::FadingSlots> fading) override;
   VkBuffer radiosityBuffer() const override { return output_.handle(); }
   VkBuffer reflectedBuffer() const override { return radiosity_[now_].handle(); }
   VkBuffer sourceBuffer() const override { return source_.handle(); }
@@ -118,8 +119,8 @@ class VulkanGather final : public VulkanRecorder {
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, ease_, change_, refine_, shine_;
-  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, weights_, output_, staging_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, ease_, change_, refine_, fade_, shine_;
+  Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, fading_, weights_, output_, staging_;
   Buffer seen_;         // radiosity_[now_], brought to the host by the last submission of our own
   Buffer held_;         // what is held back of light, and for how many frames
   Buffer last_source_;  // source_ of the last step
@@ -128,7 +129,7 @@ class VulkanGather final : public VulkanRecorder {
   Buffer radiosity_[2];  // reflected
   uint32_t now_ = 0;     // radiosity_[now_] is the current one
   StorageSets sets_;
-  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, ease_set_ = VK_NULL_HANDLE;
+  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, ease_set_ = VK_NULL_HANDLE, fade_set_ = VK_NULL_HANDLE;
   VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2], hold_sets_[2];  // [segment], [now_][segment]
@@ -141,14 +142,15 @@ class VulkanGather final : public VulkanRecorder {
   uint32_t slots_ = 0;
   std::vector<Level> levels_;  // finest first
   // What the next record() does first.
-  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false, has_weights_ = false;
+  bool changed_ = false, all_ = false, has_source_ = false, has_radiosity_ = false, has_emission_ = false;
+  uint32_t fading_tiles_ = 0;
   bool has_later_source_ = false;  // sources were given twice
   uint32_t left_ = 0;
   std::vector<shaders::TileJob> job_list_;
   std::vector<shaders::SlotSpan> span_list_;
   std::vector<Jobs> enter_jobs_, resolve_jobs_;
   std::vector<VkBufferCopy> copies_to_packed_, copies_to_pages_, copies_to_jobs_, copies_to_spans_, copies_to_source_,
-      copies_to_later_source_, copies_to_radiosity_, copies_to_emission_, copies_to_weights_;
+      copies_to_later_source_, copies_to_radiosity_, copies_to_emission_, copies_to_fading_;
   uint32_t ease_frames_ = 0;
   bool stepped_ = false;    // radiosity_[now_] is what a step came to, radiosity_[1 - now_] what it came from
   bool to_hold_ = false;    // rows have changed since
@@ -191,7 +193,7 @@ Result<void> VulkanGather::start() {
   copies_to_packed_.reserve(settings_.tiles);
   copies_to_pages_.reserve(settings_.pages);
   for (auto* list : {&copies_to_source_, &copies_to_emission_}) list->reserve(settings_.tiles);
-  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_weights_}) list->reserve(1);
+  for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_fading_}) list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
   if (auto r = makeBuffers(); !r) return r;
@@ -204,7 +206,7 @@ Result<void> VulkanGather::start() {
       return vkError("vkCreateQueryPool", r);
   }
   auto cleared = context_->run([&](VkCommandBuffer c) {
-    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &radiosity_[0], &radiosity_[1], &kinds_, &held_, &last_source_})
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &weights_, &radiosity_[0], &radiosity_[1], &kinds_, &held_, &last_source_})
       vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
     vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
   });
@@ -236,6 +238,7 @@ Result<void> VulkanGather::makePipelines() {
                          {&ease_, ease_comp, 1, sizeof(shaders::EasePush)},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 5, sizeof(shaders::RefinePush)},
+                         {&fade_, fade_comp, 2, sizeof(shaders::FadePush)},
                          {&shine_, shine_comp, 8, sizeof(shaders::ShinePush)}};
   for (const Wanted& w : list) {
     auto made = ComputePipeline::create(*context_, w.words, w.buffers, static_cast<uint32_t>(w.push_bytes), w.variant);
@@ -249,7 +252,7 @@ Result<void> VulkanGather::makeBuffers() {
   const uint64_t slots = settings_.slots, jobs = uint64_t{4} * settings_.tiles * sizeof(shaders::TileJob);
   const uint64_t spans = std::max(slots, uint64_t{settings_.tiles}) * sizeof(shaders::SlotSpan);
   // All that one frame can bring: the whole cut, every page, light, emission and radiosity. Each frame's begins aligned.
-  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 4 * slots * sizeof(Vec4) + slots * sizeof(float);
+  const uint64_t most = settings_.packed_bytes + settings_.pages * kPageBytes + jobs + spans + 4 * slots * sizeof(Vec4) + settings_.tiles * sizeof(shaders::FadingSlots);
   region_bytes_ = roundUp(most, sizeof(Vec4));
   struct Wanted {
     Buffer* buffer;
@@ -270,7 +273,8 @@ Result<void> VulkanGather::makeBuffers() {
       {&spans_, spans},
       {&emission_, slots * sizeof(Vec4)},
       {&output_, slots * sizeof(Vec4)},
-      {&weights_, slots * sizeof(float)},
+      {&fading_, settings_.tiles * sizeof(shaders::FadingSlots)},
+      {&weights_, slots * 2 * sizeof(uint32_t)},
       {&held_, slots * sizeof(Vec4)},
       {&last_source_, slots * sizeof(Vec4)},
       {&faults_, sizeof(uint32_t), MemoryUse::kHost},
@@ -289,7 +293,7 @@ Result<void> VulkanGather::makeBuffers() {
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 11 + 5 * segments_, 2 + 2 + 1 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
+  auto sets = StorageSets::create(*context_, 12 + 5 * segments_, 2 + 2 + 1 + 2 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -310,6 +314,7 @@ Result<void> VulkanGather::makeSets() {
                                   whole(source_), whole(last_source_)});
   }
   ease_set_ = make(ease_, {whole(held_)});
+  fade_set_ = make(fade_, {whole(fading_), whole(weights_)});
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
     resolve_sets_.push_back(make(resolve_, {whole(jobs_), whole(packed_), whole(pages_), whole(kinds_), whole(rows_), segment}));
@@ -350,10 +355,11 @@ Result<void> VulkanGather::flush() {
 // After an update that failed half-way.
 void VulkanGather::forgetStaged() {
   for (auto* list : {&copies_to_packed_, &copies_to_pages_, &copies_to_jobs_, &copies_to_spans_, &copies_to_source_,
-                     &copies_to_later_source_, &copies_to_radiosity_, &copies_to_emission_, &copies_to_weights_})
+                     &copies_to_later_source_, &copies_to_radiosity_, &copies_to_emission_, &copies_to_fading_})
     list->clear();
   region_used_ = 0;
-  changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = has_weights_ = false;
+  changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = false;
+  fading_tiles_ = 0;
 }
 
 // What is held back of light is forgotten.
@@ -549,11 +555,10 @@ Result<void> VulkanGather::setEnteredEmission(std::span<const Vec4> emission, co
   return {};
 }
 
-void VulkanGather::setWeights(std::span<const float> weights) {
-  FF_CHECK_EQ(weights.size(), size_t{slots_});
-  std::byte* const at = has_weights_ ? staging_.mapped() + copies_to_weights_.back().srcOffset : stageLight(weights_, 0, weights.size_bytes(), copies_to_weights_);
-  std::memcpy(at, weights.data(), weights.size_bytes());
-  has_weights_ = true;
+void VulkanGather::setFading(std::span<const shaders::FadingSlots> fading) {
+  FF_CHECK_EQ(fading_tiles_, 0u);
+  fading_tiles_ = static_cast<uint32_t>(fading.size());
+  if (!fading.empty()) std::memcpy(stageLight(fading_, 0, fading.size_bytes(), copies_to_fading_), fading.data(), fading.size_bytes());
 }
 
 Result<void> VulkanGather::setRadiosity(std::span<const Vec4> radiosity) {
@@ -581,7 +586,7 @@ void VulkanGather::recordCopies(VkCommandBuffer c) {
   copy(copies_to_spans_, spans_);
   copy(copies_to_source_, source_);
   copy(copies_to_emission_, emission_);
-  copy(copies_to_weights_, weights_);
+  copy(copies_to_fading_, fading_);
   if (let_go_) vkCmdFillBuffer(c, held_.handle(), 0, VK_WHOLE_SIZE, 0);
   let_go_ = false;
   if (all_) vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
@@ -703,7 +708,12 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
-  const shaders::ShinePush push{slots_, iterations > 0, std::exchange(has_weights_, false)};
+  const shaders::FadePush fades{fading_tiles_ > 0 ? static_cast<uint32_t>(frame_) + 1 : 0};
+  if (fading_tiles_ > 0) {
+    fade_.dispatch(c, fade_set_, &fades, std::exchange(fading_tiles_, 0));
+    separate(c);
+  }
+  const shaders::ShinePush push{slots_, iterations > 0, fades.record};
   shine_.dispatch(c, shine_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
   barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
           VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);

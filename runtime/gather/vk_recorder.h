@@ -11,6 +11,7 @@
 
 #include "runtime/dense/dense_solver.h"
 #include "runtime/gather/vk_gather.h"
+#include "shaders/shared.h"
 
 namespace ff::runtime {
 
@@ -26,9 +27,9 @@ class VulkanRecorder : public Solver {
   virtual Result<void> setEmission(std::span<const Vec4> emission) = 0;
   // The same where only nodes that entered by the last update() have other values than were given before.
   virtual Result<void> setEnteredEmission(std::span<const Vec4> emission, const MatrixChange& change) = 0;
-  // In what the next record() leaves in radiosityBuffer(), and in that alone: how much of what a slot reflects is its own, from 0 to 1; the
-  // rest is what its parent shows, as the same irradiance on the slot's albedo (cut_fade.h).
-  virtual void setWeights(std::span<const float> weights) = 0;
+  // In what the next record() leaves in radiosityBuffer(), and in that alone: how much of what these slots reflect is their own, from 0 to 1; the
+  // rest is what their parents show, as the same irradiance on the slots' albedo (cut_fade.h). Once a record(), of as many tiles as there is room for at most.
+  virtual void setFading(std::span<const shaders::FadingSlots> fading) = 0;
   // Radiosity per slot after the last recorded iteration, reflected and emitted: a vec4 each (w is 0), W/m2. Always the same
   // buffer.
   virtual VkBuffer radiosityBuffer() const = 0;

@@ -13,7 +13,7 @@ namespace ff::runtime {
 // What has crossed the bus to a solver's device since the start, bytes; none on the CPU.
 struct UploadedBytes {
   uint64_t rows = 0;   // of the matrix: packed rows, pages, lists of what to do with them; blocks of dense matrices, and what watches these
-  uint64_t light = 0;  // by slot: sources, radiosity to go on from, emission, weights of what fades
+  uint64_t light = 0;  // by slot: sources, radiosity to go on from, emission, and which tiles fade
 };
 
 class Solver {

@@ -225,10 +225,10 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     const bool cut_changed = world->frame_stats.matrix_changed, given_anew = cut_changed && world->updater().change().renumbered;
     if (frame == 0 || frame == kSwitch) {
       EXPECT_GE(light_bytes, all_slots * sizeof(Vec4)) << "frame " << frame;
-    } else if (!given_anew && world->reloads == reloads) {  // sources and emission of what entered, and weights of what fades
+    } else if (!given_anew && world->reloads == reloads) {  // sources and emission of what entered, and which tiles fade
       uint64_t nodes = 0;
       for (size_t i = 0; cut_changed && i < world->updater().change().entered.size(); ++i) nodes += world->updater().matrix().tiles[world->updater().change().entered[i]].nodes;
-      EXPECT_LE(light_bytes, 2 * nodes * sizeof(Vec4) + all_slots * sizeof(float)) << "frame " << frame;
+      EXPECT_LE(light_bytes, 2 * nodes * sizeof(Vec4) + world->updater().matrix().tiles.size() * sizeof(shaders::FadingSlots)) << "frame " << frame;
       entered_nodes += nodes;
     }
     anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater().change().renumbered);

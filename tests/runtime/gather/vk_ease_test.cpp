@@ -109,10 +109,10 @@ TEST_F(VkShine, WhatFadesIsSeenAsItsParentsIrradiance) {
   ASSERT_TRUE(recorder.setEmission(emission));
   auto copied = Buffer::create(*context_, m.slots() * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT, MemoryUse::kHost);
   ASSERT_TRUE(copied) << copied.error().line();
-  const auto shown = [&](std::span<const float> weights) {
+  const auto shown = [&](std::span<const shaders::FadingSlots> fading) {
     Result<void> recorded;
     EXPECT_TRUE(context_->run([&](VkCommandBuffer commands) {
-      if (!weights.empty()) recorder.setWeights(weights);
+      recorder.setFading(fading);
       recorded = recorder.record(commands, 3);
       const VkBufferCopy copy{0, 0, m.slots() * sizeof(Vec4)};
       vkCmdCopyBuffer(commands, recorder.radiosityBuffer(), copied->handle(), 1, &copy);
@@ -123,9 +123,17 @@ TEST_F(VkShine, WhatFadesIsSeenAsItsParentsIrradiance) {
     std::memcpy(light.data(), copied->mapped(), m.slots() * sizeof(Vec4));
     return light;
   };
+  // Of each tile two runs of slots, some of which show all that is theirs.
   std::vector<float> weights(m.slots(), 1);
-  for (uint32_t s = 0; s < m.slots(); ++s) weights[s] = s % 4 == 0 ? 0.0f : s % 4 == 1 ? 0.25f : s % 4 == 2 ? 0.75f : 1.0f;
-  const std::vector<Vec4> fading = shown(weights);
+  std::vector<shaders::FadingSlots> fading_slots;
+  for (const SlotRange& range : m.tiles)
+    for (const auto& [first, nodes] : {std::pair{0u, range.nodes / 2}, std::pair{range.nodes / 2, range.nodes - range.nodes / 2}}) {
+      const size_t turn = fading_slots.size() % 4;
+      const float own = turn == 0 ? 0.0f : turn == 1 ? 0.25f : turn == 2 ? 0.75f : 1.0f;
+      fading_slots.push_back({range.first_slot + first, nodes, own});
+      std::fill_n(weights.begin() + range.first_slot + first, nodes, own);
+    }
+  const std::vector<Vec4> fading = shown(fading_slots);
   std::vector<Vec4> expected = lightOf(recorder, m);  // what is reflected, past any weight
   for (size_t t = m.tiles.size(); t-- > 0;)           // parents first
     for (uint32_t s = m.tiles[t].first_slot; s < m.tiles[t].first_slot + m.tiles[t].nodes; ++s) {
@@ -143,10 +151,13 @@ TEST_F(VkShine, WhatFadesIsSeenAsItsParentsIrradiance) {
       blended += weights[s] < 1 && m.parent_slot[s] != kNoSlot;
     }
   EXPECT_GT(blended, m.leaves.size() / 2);
-  // They count for one record.
-  const std::vector<Vec4> whole = shown({});
-  const std::vector<Vec4> own = lightOf(recorder, m);
-  for (const uint32_t s : m.leaves) ASSERT_LT(distance(whole[s], own[s] + emission[s]), 1e-5f * (1 + own[s].x + own[s].y + own[s].z));
+  // They count for one record, also where others fade then.
+  const shaders::FadingSlots top{m.tiles.back().first_slot, m.tiles.back().nodes, 0};  // which has no parents
+  for (const auto& others : {std::span<const shaders::FadingSlots>(), std::span(&top, 1)}) {
+    const std::vector<Vec4> whole = shown(others);
+    const std::vector<Vec4> own = lightOf(recorder, m);
+    for (const uint32_t s : m.leaves) ASSERT_LT(distance(whole[s], own[s] + emission[s]), 1e-5f * (1 + own[s].x + own[s].y + own[s].z));
+  }
 }
 
 }  // namespace
