@@ -79,6 +79,7 @@ struct ChangePush {
 // ease.comp
 struct EasePush {
   uint slots;
+  uint along;  // 1: radiosity goes along
 };
 // Consecutive slots. Those with one parent name each other in a ring (LocalMatrix::next_sibling), all within the span.
 struct SlotSpan {

@@ -101,6 +101,7 @@ class VulkanGather final : public VulkanRecorder {
   void recordCopies(VkCommandBuffer c);
   void recordChange(VkCommandBuffer c);
   void recordHold(VkCommandBuffer c);
+  void recordRefine(VkCommandBuffer c, uint32_t buffer);
   void recordIteration(VkCommandBuffer c, bool first, float omega);
   // omega(): of the next step. frames: that pass before them.
   template <class Omega>
@@ -129,8 +130,8 @@ class VulkanGather final : public VulkanRecorder {
   Buffer radiosity_[2];  // reflected
   uint32_t now_ = 0;     // radiosity_[now_] is the current one
   StorageSets sets_;
-  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, ease_set_ = VK_NULL_HANDLE, fade_set_ = VK_NULL_HANDLE;
-  VkDescriptorSet enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
+  VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, fade_set_ = VK_NULL_HANDLE;
+  VkDescriptorSet ease_set_[2] = {}, enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2], hold_sets_[2];  // [segment], [now_][segment]
   Handle<VkQueryPool, vkDestroyQueryPool> queries_;             // kQueries a frame in flight
@@ -235,7 +236,7 @@ Result<void> VulkanGather::makePipelines() {
                          {&gather_, gather_comp, 9, sizeof(shaders::GatherPush)},
                          {&gather_further_, gather_comp, 9, sizeof(shaders::GatherPush), true},
                          {&hold_, gather_hold_comp, 9, sizeof(shaders::GatherPush)},
-                         {&ease_, ease_comp, 1, sizeof(shaders::EasePush)},
+                         {&ease_, ease_comp, 2, sizeof(shaders::EasePush)},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 5, sizeof(shaders::RefinePush)},
                          {&fade_, fade_comp, 2, sizeof(shaders::FadePush)},
@@ -293,7 +294,7 @@ Result<void> VulkanGather::makeBuffers() {
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 12 + 5 * segments_, 2 + 2 + 1 + 2 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
+  auto sets = StorageSets::create(*context_, 13 + 5 * segments_, 2 + 2 + 4 + 2 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -308,12 +309,12 @@ Result<void> VulkanGather::makeSets() {
   for (uint32_t i = 0; i < 2; ++i) {
     enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
                                   whole(siblings_), whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(last_source_), whole(held_)});
+    ease_set_[i] = make(ease_, {whole(held_), whole(radiosity_[i])});
     refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(siblings_), whole(albedo_), whole(radiosity_[i])});
     change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
     shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_), whole(weights_), whole(parents_), whole(albedo_),
                                   whole(source_), whole(last_source_)});
   }
-  ease_set_ = make(ease_, {whole(held_)});
   fade_set_ = make(fade_, {whole(fading_), whole(weights_)});
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
@@ -637,13 +638,18 @@ void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
   // The next step reads what this one wrote, the next iteration overwrites what this one read.
   separate(c);
   if (correction_) correction_->recordStep(c, now_, first);
+  recordRefine(c, 1 - now_);
+  now_ = 1 - now_;
+}
+
+// Of radiosity_[buffer].
+void VulkanGather::recordRefine(VkCommandBuffer c, uint32_t buffer) {
   for (const Level& level : levels_) {
     const uint32_t groups = groupsOf(level.longest, shaders::kRefineGroup);
     const shaders::RefinePush push{level.first, groups};
-    refine_.dispatch(c, refine_set_[1 - now_], &push, level.count * groups);
+    refine_.dispatch(c, refine_set_[buffer], &push, level.count * groups);
     separate(c);
   }
-  now_ = 1 - now_;
 }
 
 void VulkanGather::readTime(uint32_t frame, bool wait) {
@@ -696,9 +702,10 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
     separate(c);
   }
   for (; frames > 0 && holding_ > 0; --frames, --holding_) {
-    const shaders::EasePush push{slots_};
-    ease_.dispatch(c, ease_set_, &push, groupsOf(slots_, shaders::kGatherGroup));
+    const shaders::EasePush push{slots_, correction_ != nullptr};
+    ease_.dispatch(c, ease_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
     separate(c);
+    if (correction_) recordRefine(c, now_);
   }
   changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = false;
   left_ = 0;

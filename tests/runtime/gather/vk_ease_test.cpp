@@ -1,6 +1,7 @@
 // Light that follows a change of the cut on Vulkan: the cases of the CPU's solvers, and what engines read while tiles fade out.
 #include <cstring>
 
+#include "runtime/dense/cpu_multibounce.h"
 #include "runtime/gather/vk_recorder.h"
 #include "runtime/vulkan/buffer.h"
 #include "runtime/vulkan/device.h"
@@ -46,6 +47,36 @@ INSTANTIATE_TEST_SUITE_P(
     [](const auto& each) { return each.param.name; });
 
 class VkShine : public ValidatedVulkan {};
+class VkEase : public ValidatedVulkan {};
+
+// With places for some of the leaves alone: the first step after a change of the cut, from light that has settled. Matrices are in fp32.
+TEST_F(VkEase, MultibounceFollowsAChangeOfTheCutAsOnTheCpu) {
+  const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 2});
+  const MultibounceSettings dense{.places = 128};
+  auto vulkan = makeVulkanDenseRecorder(context_, kRoom, dense);
+  ASSERT_TRUE(vulkan) << vulkan.error().line();
+  auto matrix = makeCpuMultibounce(dense);
+  ASSERT_TRUE(matrix) << matrix.error().line();
+  const auto cpu = makeDenseSolver(std::move(*matrix), {.threads = 1});
+  MatrixAssembler assembler(test.world());
+  const LocalMatrix& m = assembler.matrix();
+  uint32_t more_leaves = 0;
+  for (uint64_t cut = 0; cut < 6; ++cut) {
+    ASSERT_TRUE(assembler.update(test.randomCut(0.8 + 0.05 * static_cast<double>(cut % 3), cut)));
+    more_leaves += m.leaves.size() > dense.places;
+    for (Solver* solver : {static_cast<Solver*>(vulkan->get()), static_cast<Solver*>(cpu.get())}) {
+      solver->ease(kEaseFrames);
+      ASSERT_TRUE(solver->update(m, assembler.change()) && solver->setSource(sourceOf(m)) && solver->iterate(1));
+    }
+    const std::vector<Vec4> a = lightOf(**vulkan, m), b = lightOf(*cpu, m);
+    for (size_t i = 0; cut > 0 && i < m.leaves.size(); ++i) {
+      const uint32_t s = m.leaves[i];
+      ASSERT_LT(distance(a[s], b[s]), 1e-3f * (1 + b[s].x + b[s].y + b[s].z)) << "cut " << cut << ", slot " << s;
+    }
+    for (uint32_t frame = 0; frame <= kEaseFrames; ++frame) ASSERT_TRUE((*vulkan)->iterate(30) && cpu->iterate(30));
+  }
+  EXPECT_GT(more_leaves, 2u);
+}
 
 // What is shown is the same, to the bit, whether all emission or that of what entered is given with each cut, and what has left shows none.
 TEST_F(VkShine, EmissionOfWhatEnteredIsAsGoodAsAll) {
