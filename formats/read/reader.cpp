@@ -151,9 +151,16 @@ void World::bringChildren(std::span<const ChildRef> children, const ReadOptions&
 
 void World::expectAll() { state_->all = true; }
 
+namespace {
+
+// Null: nobody holds it. With the world's lock held.
+ChunkPtr childOf(const Chunk& parent, uint32_t child) { return parent.children_here.empty() ? nullptr : parent.children_here[child].lock(); }
+
+}  // namespace
+
 ChunkPtr World::childHere(const Chunk& parent, uint32_t child) const {
   const std::lock_guard lock(state_->mutex);
-  return parent.children_here.empty() ? nullptr : parent.children_here[child].lock();
+  return childOf(parent, child);
 }
 
 Result<ChunkPtr> World::child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options) const try {
@@ -228,7 +235,7 @@ Result<ChunkPtr> World::search(ChunkPtr at, uint32_t level, const TileName& name
   const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
   for (uint32_t k = 0; k < at->children.size(); ++k) {
     if (!same(at->children[k].cell, next)) continue;
-    ChunkPtr below = childHere(*at, k);
+    ChunkPtr below = absent ? childOf(*at, k) : childHere(*at, k);
     if (!below && absent) {
       absent->push_back({at, k});
       continue;
@@ -303,6 +310,7 @@ Result<size_t> World::findPartners(const TileRef& tile, std::span<const PartnerN
     partners.clear();
     absent.clear();
     const Chunk* at = nullptr;  // of the block before
+    std::unique_lock lock(state_->mutex);
     for (size_t b = 0; b < names.size(); ++b) {
       if (!at || !same(names[b].step, names[b - 1].step) || !holds(*at, names[b].tile)) {
         ChunkCell cell;
@@ -322,6 +330,7 @@ Result<size_t> World::findPartners(const TileRef& tile, std::span<const PartnerN
       __builtin_prefetch(&at->tiles[names[b].tile - at->first_number].nodes);  // they lie far apart
     }
     if (absent.empty()) return names.size();
+    lock.unlock();
     const auto key = [](const ChildRef& c) { return std::pair(c.parent.get(), c.child); };
     std::ranges::sort(absent, {}, key);
     absent.erase(std::ranges::unique(absent, {}, key).begin(), absent.end());
