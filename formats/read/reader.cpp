@@ -224,28 +224,32 @@ Result<ChunkPtr> World::find(uint32_t level, const TileName& name, const ChunkPt
   // From the lowest chunk that covers the place up: a cell may have several records.
   for (const Chunk* at = from.get();; at = at->parent.get()) {
     if (at->parent && !same(at->cell, ancestorOf(name.chunk, level, at->level))) continue;
-    auto found = search(at->shared_from_this(), level, name, absent);
+    auto found = search(*at, level, name, absent);
     if (!found || *found || !at->parent || (absent && !absent->empty())) return found;
   }
 }
 
 // Below a chunk that covers the place; null: it is not there.
-Result<ChunkPtr> World::search(ChunkPtr at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const {
-  if (at->level == level) return holds(*at, name.tile) ? std::move(at) : ChunkPtr();
-  const ChunkCell next = ancestorOf(name.chunk, level, at->level - 1);
-  for (uint32_t k = 0; k < at->children.size(); ++k) {
-    if (!same(at->children[k].cell, next)) continue;
-    ChunkPtr below = absent ? childOf(*at, k) : childHere(*at, k);
+Result<ChunkPtr> World::search(const Chunk& at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const {
+  if (at.level == level) return holds(at, name.tile) ? at.shared_from_this() : ChunkPtr();
+  const ChunkCell next = ancestorOf(name.chunk, level, at.level - 1);
+  for (uint32_t k = 0; k < at.children.size(); ++k) {
+    if (!same(at.children[k].cell, next)) continue;
+    ChunkPtr below = absent ? childOf(at, k) : childHere(at, k);
     if (!below && absent) {
-      absent->push_back({at, k});
+      absent->push_back({at.shared_from_this(), k});
       continue;
     }
     if (!below) {
-      auto read = child(at, k);
+      auto read = child(at.shared_from_this(), k);
       if (!read) return read;
       below = std::move(*read);
     }
-    auto found = search(std::move(below), level, name, absent);
+    if (below->level == level) {
+      if (holds(*below, name.tile)) return below;
+      continue;
+    }
+    auto found = search(*below, level, name, absent);
     if (!found || *found) return found;
   }
   return ChunkPtr();
