@@ -128,6 +128,7 @@ Result<void> World::readStored(const Extent& extent, std::span<std::byte> out, c
 }
 
 void World::bring(std::span<const Extent> extents, const ReadOptions& options) const try {
+  if (!state_->storage->brings()) return;
   std::map<uint32_t, std::vector<StoredFile::Range>> by_shard;
   for (const Extent& extent : extents) by_shard[extent.shard].push_back({extent.offset, extent.stored_bytes});
   std::vector<uint32_t> shards;

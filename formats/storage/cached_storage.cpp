@@ -346,6 +346,7 @@ class CachedStorage final : public ReadOnlyStorage {
   }
   Result<bool> exists(const std::string& path) override { return below_->exists(path); }
   Result<std::string> version(const std::string& path, const ReadOptions& options) override { return below_->version(path, options); }
+  bool brings() const override { return true; }
   std::string warning() const override { return folder_->warning(); }
 
  private:

@@ -98,6 +98,8 @@ class Storage {
   virtual Result<std::unique_ptr<Claim>> claim(const std::string& path) = 0;
   // Whether files can be made there.
   virtual Result<void> checkWritable(const std::string& folder) = 0;
+  // Whether StoredFile::bring() of its files does anything.
+  virtual bool brings() const { return false; }
   // What went wrong without being an error, as one line for the user; empty: nothing.
   virtual std::string warning() const { return {}; }
 };

@@ -20,6 +20,7 @@ class RoundTrips final : public ReadOnlyStorage {
     if (!file || path.find(".index.") == std::string::npos) return file;
     return std::unique_ptr<StoredFile>(std::make_unique<File>(*this, std::move(*file)));
   }
+  bool brings() const override { return true; }
   Result<bool> exists(const std::string& path) override { return below_->exists(path); }
   Result<std::string> version(const std::string& path, const ReadOptions& options) override { return below_->version(path, options); }
 
