@@ -5,6 +5,7 @@
 #include <deque>
 #include <functional>
 #include <new>
+#include <numeric>
 #include <optional>
 #include <system_error>
 #include <tuple>
@@ -115,12 +116,17 @@ FacetScene::Hit FacetScene::nearest(const RayLine& ray) const {
           bool front = true;
           const float distance = distanceTo(tile.facets[f], ray, front), handicap = front ? 0 : back_handicap_m;
           if (distance > handicap && distance + handicap < best.distance_m)
-            best = {&tile, tile.facets[f].patch, front, distance + handicap};
+            best = {&tile, &tile.facets[f], front, distance + handicap};
         }
       });
     }
   });
   return best;
+}
+
+const TileFacets* FacetScene::facetsOf(uint32_t tile) const {
+  const auto at = std::ranges::lower_bound(tiles, tile, {}, [](const auto& facets) { return facets->tile.id().tile; });
+  return at != tiles.end() && (*at)->tile.id().tile == tile ? at->get() : nullptr;
 }
 
 FacetScenes::FacetScenes(const formats::World& world, uint64_t memory_bytes)
@@ -250,6 +256,12 @@ std::shared_ptr<const TileFacets> FacetScenes::load(const formats::TileRef& tile
     const Vec3* corner = &geometry->positions[size_t{3} * t];
     out->facets.push_back({corner[0], corner[1] - corner[0], corner[2] - corner[0], geometry->patch[t]});
   }
+  out->start_of_patch.assign(formats::kTileNodes + 1, 0);
+  for (const Facet& f : out->facets) ++out->start_of_patch[f.patch + 1u];
+  std::partial_sum(out->start_of_patch.begin(), out->start_of_patch.end(), out->start_of_patch.begin());
+  out->by_patch.resize(out->facets.size());
+  std::vector<uint32_t> next(out->start_of_patch.begin(), out->start_of_patch.end() - 1);
+  for (uint32_t f = 0; f < out->facets.size(); ++f) out->by_patch[next[out->facets[f].patch]++] = f;
   return out;
 }
 

@@ -30,12 +30,18 @@ struct TileFacets {
   std::vector<Facet> facets;  // in the order of the tree
   BoxTree tree;
   Box bounds;
-  uint64_t bytes() const { return sizeof(*this) + facets.size() * sizeof(Facet) + tree.bytes(); }
+  std::vector<uint32_t> by_patch, start_of_patch;  // numbers of facets, patch by patch
+  std::span<const uint32_t> ofPatch(uint32_t patch) const {
+    return std::span(by_patch).subspan(start_of_patch[patch], start_of_patch[patch + 1] - start_of_patch[patch]);
+  }
+  uint64_t bytes() const {
+    return sizeof(*this) + facets.size() * sizeof(Facet) + tree.bytes() + (by_patch.size() + start_of_patch.size()) * sizeof(uint32_t);
+  }
 };
 
 // Immutable.
 struct FacetScene {
-  std::vector<std::shared_ptr<const TileFacets>> tiles;
+  std::vector<std::shared_ptr<const TileFacets>> tiles;  // by number, ascending
   BoxTree tree;                  // over tiles
   stream::TileSet covered;       // of all levels: all patches beneath are in `tiles`
   bool complete = false;         // all of the world is in `tiles`
@@ -43,13 +49,15 @@ struct FacetScene {
 
   struct Hit {
     const TileFacets* tile = nullptr;
-    uint32_t patch = 0;  // of the tile
+    const Facet* facet = nullptr;
     bool front = true;
     float distance_m = 3e38f;  // this: nothing
   };
   // Nearest triangle. Of two in one place, a double-sided surface's, the one that faces the ray is met; back faces
   // nearer than the handicap are the surface that the origin lies on.
   Hit nearest(const RayLine& ray) const;
+  // Of a level-0 tile by number; null: it is not here.
+  const TileFacets* facetsOf(uint32_t tile) const;
 };
 
 class FacetScenes {

@@ -1,7 +1,10 @@
 // Irradiance at arbitrary points with a normal, for what moves through the world and has no patches of its own. A probe
 // is a row of its own: rays from the point, spread over its hemisphere by the cosine, meet the drawing triangles of the
-// nearest tiles (FacetScene) and beyond them planes that stand for the leaves of the cut (ProbeTree). What was met is kept until the point moves or the cut changes, so that a frame's light costs a sparse
-// dot product with its radiosity. Nothing is interpolated between probes, so no light comes through walls.
+// nearest tiles (FacetScene) and beyond them planes that stand for the leaves of the cut (ProbeTree). Few of these rays find
+// a small lamp: the patches that emit which matter most get rays of their own, weighted so that both together are unbiased
+// (the power heuristic: Eric Veach, Leonidas Guibas. Optimally Combining Sampling Techniques for Monte Carlo Rendering.
+// 1995). What was met is kept until the point moves or the cut changes, so that a frame's light costs a sparse dot product
+// with its radiosity. Nothing is interpolated between probes, so no light comes through walls.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -18,6 +21,8 @@ namespace ff::runtime {
 
 struct ProbeSettings {
   uint32_t rays = 256;           // per probe
+  uint32_t max_lamps = 24;       // patches that emit, of the cut and with triangles here, that rays are sent to besides
+  uint32_t lamp_rays = 6;        // to each, spread over it
   uint32_t max_kept = 1024;     // probes whose rays are remembered
   uint32_t max_refreshed = 16;  // per sample(): kept probes that are traced again because the cut has changed since
   uint64_t facet_bytes = uint64_t{128} << 20;  // of drawing triangles in memory; 0: planes everywhere
@@ -68,7 +73,27 @@ class Probes {
     std::array<float, 5> sky_quadratics{};  // sum
   };
   struct Place {
-    uint16_t slot, rays;
+    uint16_t slot;
+    float weight;  // of its radiosity
+  };
+  // A patch that emits.
+  struct Lamp {
+    uint32_t slot, index;  // index: in its tile
+    Vec3 centroid, normal;
+    float area_m2, power;  // power: luminance as baked, W
+  };
+  // That rays of a probe are sent to.
+  struct Aim {
+    const Lamp* lamp;
+    float importance;  // about the irradiance that it would give unhindered
+    const TileFacets* tile = nullptr;
+    float area_m2 = 0;  // of its triangles
+  };
+  struct Met {
+    uint32_t slot = kNoSlot;
+    const Facet* facet = nullptr;  // null: a plane, or the sky
+    float distance_m = 0;
+    bool front = true, sky = false;
   };
   void enter(const ProbeTile& tile, std::span<const uint8_t> leaf);
   void leave(uint32_t slot);
@@ -76,8 +101,13 @@ class Probes {
   void hideCovered();
   size_t find(Vec3 point, Vec3 normal) const;
   void trace(size_t kept, Vec3 point, Vec3 normal);
+  void addLamp(uint32_t slot, uint32_t index, const formats::Node& node);
+  void removeLamp(uint32_t slot);
+  void aimAtLamps(Vec3 point, Vec3 normal);
+  void castAtLamps(Vec3 point, Vec3 normal);
+  Met meet(const RayLine& ray, uint32_t number) const;
+  float weight(const Aim& aim, const Facet& facet, Vec3 direction, float cosine, float distance_m, bool own) const;
   Vec3 evaluate(size_t kept, std::span<const Vec4> radiosity, const Sky& sky) const;
-
 
   const formats::World& world_;
   const SlotMap& slots_;
@@ -92,8 +122,12 @@ class Probes {
   uint64_t cut_ = ~uint64_t{0}, state_ = 1;
   uint32_t follows_ = 0;
   std::vector<Kept> kept_;
-  std::vector<Place> places_;    // settings.rays of each
-  std::vector<uint16_t> met_;    // by a probe's rays
+  std::vector<Place> places_;    // max_places_ of each
+  const size_t max_places_;
+  std::vector<Place> met_;       // by a probe's rays
+  std::vector<Lamp> lamps_;      // of the cut, in no order
+  std::vector<uint32_t> lamp_of_slot_, aim_of_slot_;  // number and one more; 0: none
+  std::vector<Aim> aims_;        // of the probe that is traced, in no order
   uint64_t samples_ = 0;
   ProbeStats stats_;
   FacetScenes facets_;

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <numbers>
 
 #include "bake/bake.h"
 #include "bake/import/gltf_import.h"
@@ -353,6 +354,77 @@ TEST(Probes, MeetTrianglesWhereCellsHoldSlantedSurfaces) {
   }
   std::printf("probes among slanted boards: relative L2 %.4f by triangles, %.4f by planes\n", relative[0], relative[1]);
   EXPECT_LT(relative[0], 0.5 * relative[1]);
+}
+
+// Irradiance from a quad of radiosity 1, all of it in front of the point. Johann Heinrich Lambert. Photometria. 1760.
+double lambert(Vec3 point, Vec3 normal, const std::array<Vec3, 4>& corners) {
+  double sum = 0;
+  for (size_t i = 0; i < 4; ++i) {
+    const Vec3 a = normalized(corners[i] - point), b = normalized(corners[(i + 1) % 4] - point), across = cross(a, b);
+    sum += std::atan2(static_cast<double>(length(across)), static_cast<double>(dot(a, b))) * static_cast<double>(dot(normalized(across), normal));
+  }
+  return std::abs(sum) / (2 * std::numbers::pi);
+}
+
+// Of 256 rays none or one finds it.
+TEST(Probes, ASmallLampInABlackHallGivesItsClosedForm) {
+  const Folder folder;
+  bake::Scene scene;
+  const uint32_t black = bake::test::addMaterial(scene, {}), bright = bake::test::addMaterial(scene, {}, {1000, 500, 250});
+  bake::test::addRoom(scene, {0, 0, 0}, {16, 6, 16}, black, black);
+  const std::array<Vec3, 4> lamp{Vec3{8.15f, 5.95f, 8.15f}, {8.35f, 5.95f, 8.15f}, {8.35f, 5.95f, 8.35f}, {8.15f, 5.95f, 8.35f}};  // seen from below
+  bake::test::addQuad(scene, lamp[0], lamp[1], lamp[2], lamp[3], bright);
+  const formats::WholeWorld world = baked(scene, 1, folder.file("hall.ffm"));
+  const std::vector<Vec3> no_sun(world.levels()[0].nodes);
+  std::mt19937_64 random(4);
+  const auto uniform = [&] { return static_cast<float>(random() >> 40) * 0x1p-24f; };
+  double without = 0;
+  int places = 0;
+  Frame frame(world, no_sun, {}), plain(world, no_sun, {}, {.max_lamps = 0});
+  frame.goTo({8, 2, 8});
+  plain.goTo({8, 2, 8});
+  while (places < 200) {
+    const Vec3 point{8 + 8 * (uniform() - 0.5f), 0.1f + 5.6f * uniform(), 8 + 8 * (uniform() - 0.5f)}, normal = normalized({uniform() - 0.5f, uniform() - 0.5f, uniform() - 0.5f});
+    if (!std::ranges::all_of(lamp, [&](Vec3 corner) { return dot(normal, normalized(corner - point)) > 0.02f; })) continue;
+    const double truth = 1000 * std::numbers::pi * lambert(point, normal, lamp);
+    const Vec3 got = frame.sample(point, normal);
+    const bool close = length(lamp[0] - point) < 1;  // where own rays find it, too
+    EXPECT_NEAR(static_cast<double>(got.x) / truth, 1, close ? 0.06 : 0.02) << point.x << " " << point.y << " " << point.z << ", " << truth;
+    EXPECT_NEAR(got.z / got.x, 0.25f, 1e-3f);
+    without += std::abs(static_cast<double>(plain.sample(point, normal).x) / truth - 1) / 200;
+    ++places;
+  }
+  EXPECT_GT(without, 0.5);
+}
+
+// A panel of nine patches over a table, at any distance: beside a probe that leaves it to chance, with so many rays that this is small.
+TEST(Probes, ALampOfManyPatchesAndItsShadowsAreThoseOfManyRays) {
+  const Folder folder;
+  bake::Scene scene;
+  const uint32_t grey = bake::test::addMaterial(scene, {.5f, .5f, .5f}), bright = bake::test::addMaterial(scene, {}, {10, 10, 10});
+  bake::test::addRoom(scene, {0, 0, 0}, {4, 3, 5}, grey, grey);
+  bake::test::addBlock(scene, {2.4f, 0, 2.5f}, {3.2f, 0.8f, 3.7f}, grey);
+  bake::test::addQuad(scene, {1.2f, 2.99f, 1.3f}, {1.8f, 2.99f, 1.3f}, {1.8f, 2.99f, 1.9f}, {1.2f, 2.99f, 1.9f}, bright);
+  const formats::WholeWorld world = baked(scene, 0.2f, folder.file("room.ffm"));
+  const std::vector<Vec3> no_sun(world.levels()[0].nodes);
+  Frame frame(world, no_sun, {}), plain(world, no_sun, {}, {.max_lamps = 0}), many(world, no_sun, {}, {.rays = 65535, .max_lamps = 0, .max_kept = 8});
+  for (Frame* f : {&frame, &plain, &many}) f->goTo({2, 1.5f, 2});
+  std::mt19937_64 random(5);
+  const auto uniform = [&] { return static_cast<float>(random() >> 40) * 0x1p-24f; };
+  double error = 0, without = 0, all = 0;
+  for (int i = 0; i < 60; ++i) {
+    const bool close = i % 6 == 0;  // to the lamp
+    const Vec3 point = close ? Vec3{1.1f + 0.8f * uniform(), 2.8f + 0.15f * uniform(), 1.2f + 0.8f * uniform()} : Vec3{0.1f + 2.2f * uniform(), 0.05f + 2.8f * uniform(), 0.1f + 4.8f * uniform()};
+    const Vec3 normal = normalized({uniform() - 0.5f, uniform() - 0.5f, uniform() - 0.5f});
+    const double truth = static_cast<double>(many.sample(point, normal).x), weight = close ? 0.01 : 1;  // next to a lamp it is a hundred times as bright
+    const auto square = [&](Frame& f) { return weight * std::pow(static_cast<double>(f.sample(point, normal).x) - truth, 2); };
+    error += square(frame);
+    without += square(plain);
+    all += weight * truth * truth;
+  }
+  std::printf("probes in a room with a lamp: relative L2 %.4f, by 256 rays alone %.4f\n", std::sqrt(error / all), std::sqrt(without / all));
+  EXPECT_LT(error, 0.03 * 0.03 * all);
+  EXPECT_GT(without, 0.07 * 0.07 * all);
 }
 
 TEST(Probes, KeptProbesFollowTheLightWithoutNewRays) {
