@@ -319,7 +319,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     const RayBudget budget = budgetOf(settings);
     ProgressReport report(progress, "rays", n, settings.stop);
     const TakeRows take = [&](uint32_t first, HitRows rows) { hits.put(first, rows); };
-    if (settings.cache) RayUnits(scene, set, budget, settings.seed, *settings.cache).cast(caster, report.count, stats.cached, take, settings.ranks);
+    if (settings.cache) RayUnits(scene, set, caster, budget, settings.seed, *settings.cache).cast(report.count, stats.cached, take, settings.ranks);
     else castRows(scene, set, caster, budget, settings.seed, report.count, take);
   }
   const PagedVector<SunLight> sun = sunOnPatches(scene, set, caster, settings.seed);
@@ -489,7 +489,7 @@ Result<void> help(const Scene& whole, const BakeSettings& settings) {
   const auto surface = makeSurface(whole, settings, {}, false, [&](const Scene& scene) { return checkFits(scene, settings, estimateBake(scene, settings)); });
   if (!surface) return surface.error();
   WorkCount done(0, settings.stop);
-  RayUnits((*surface)->scene, (*surface)->set, budgetOf(settings), settings.seed, *settings.cache).help(*(*surface)->caster, done, *settings.ranks);
+  RayUnits((*surface)->scene, (*surface)->set, *(*surface)->caster, budgetOf(settings), settings.seed, *settings.cache).help(done, *settings.ranks);
   return {};
 }
 
@@ -502,7 +502,7 @@ Result<BakeStatus> status(const Scene& whole, const BakeSettings& settings, cons
   BakeStatus status;
   status.cell_m = set.cell_m;
   status.patches = set.patches.size();
-  status.cached = RayUnits((*surface)->scene, set, budgetOf(settings), settings.seed, *settings.cache).status(report.count, status.changed);
+  status.cached = RayUnits((*surface)->scene, set, *(*surface)->caster, budgetOf(settings), settings.seed, *settings.cache).status(report.count, status.changed);
   return status;
 }
 

@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <utility>
 
 #include "bake/all_threads.h"
 #include "bake/light/ray_fan.h"
@@ -58,10 +59,16 @@ void patchRays(const Scene& scene, const PatchSet& set, uint32_t patch, const So
 }
 
 struct RowCaster::State {
+  // A ray of a row, by its number, that ends on a patch that emits.
+  struct OnLamp {
+    uint32_t patch;
+    uint16_t ray;
+  };
+
   struct Scratch {
     Scratch(const State& s)
         : met(s.budget.rays), shapes(s.set), points(s.budget.rays), rays(s.budget.rays), hits(s.budget.rays), sky(kMaxGroup), caster(s.caster),
-          lamps(s.scene, s.set, caster, s.lamps, s.budget.rays, s.seed), leaks(s.set.cell_m) {}
+          lamp_caster(s.caster), lamps(s.scene, s.set, lamp_caster, s.lamps, s.budget.rays, s.seed), leaks(s.set.cell_m) {}
 
     // The first so many points' rays and hits.
     void castFrom(size_t n) {
@@ -79,6 +86,8 @@ struct RowCaster::State {
     std::vector<Hit> hits;           // of them
     std::vector<SkyRays> sky;        // of the group
     RayCaster caster;                // leaves the trail of the group
+    std::vector<OnLamp> on_lamps;    // of the patch
+    RayCaster lamp_caster;           // leaves that of rays towards lamps
     LampLight lamps;
     LeakSums leaks;                  // of the group
   };
@@ -89,7 +98,7 @@ struct RowCaster::State {
   const RayBudget budget;
   const uint64_t seed;
   const SobolTable sobol;
-  const LampTree lamps;
+  const LampTree& lamps;
   const MadeUpLight light;
   tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
 
@@ -98,18 +107,34 @@ struct RowCaster::State {
 
   // Of a group.
   uint32_t raysFor(uint32_t first, uint32_t end, Scratch& s) const;
-  HitRows cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const;
+  GroupRows cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const;
+
+  // What a patch gets of lamps; of s.on_lamps, in the order of rays, with what s has of these rays.
+  std::vector<LampIrradiance> lampsOf(uint32_t patch, uint32_t rays, Scratch& s) const;
+  void castLamps(uint32_t first, std::span<const uint32_t> again, Scratch& s, GroupRows& group) const;
+
+  Scratch& ownScratch() {
+    std::unique_ptr<Scratch>& own = scratch.local();
+    if (!own) own = std::make_unique<Scratch>(*this);
+    return *own;
+  }
 };
 
-RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed)
-    : state_(new State{scene, set, caster, budget, seed, SobolTable(budget.rays), LampTree(scene, set, caster), MadeUpLight(set), {}}) {}
+RowCaster::RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& lamps, RayBudget budget, uint64_t seed)
+    : state_(new State{scene, set, caster, budget, seed, SobolTable(budget.rays), lamps, MadeUpLight(set), {}}) {}
 RowCaster::~RowCaster() = default;
 
-HitRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const {
-  std::unique_ptr<State::Scratch>& scratch = state_->scratch.local();
-  if (!scratch) scratch = std::make_unique<State::Scratch>(*state_);
-  scratch->caster = state_->caster.leaving(trail);
-  return state_->cast(first, end, *scratch, done);
+GroupRows RowCaster::cast(uint32_t first, uint32_t end, RayTrail* trail, RayTrail* lamp_trail, WorkCount& done) const {
+  State::Scratch& s = state_->ownScratch();
+  s.caster = state_->caster.leaving(trail);
+  s.lamp_caster = state_->caster.leaving(lamp_trail);
+  return state_->cast(first, end, s, done);
+}
+
+void RowCaster::castLamps(uint32_t first, std::span<const uint32_t> again, RayTrail* lamp_trail, GroupRows& group) const {
+  State::Scratch& s = state_->ownScratch();
+  s.lamp_caster = state_->caster.leaving(lamp_trail);
+  state_->castLamps(first, again, s, group);
 }
 
 double RowCaster::State::tell(uint32_t patch, uint32_t rays, uint32_t sky, Scratch& s) const {
@@ -164,10 +189,45 @@ uint32_t RowCaster::State::raysFor(uint32_t first, uint32_t end, Scratch& s) con
   return std::min(rays, budget.rays);
 }
 
-HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const {
+std::vector<LampIrradiance> RowCaster::State::lampsOf(uint32_t patch, uint32_t rays, Scratch& s) const {
+  s.lamps.aim(patch, rays);
+  for (const auto& [lamp, k] : s.on_lamps) s.lamps.hit(lamp, s.hits[k], s.rays[k], dot(s.rays[k].direction, s.points[k].normal));
+  return s.lamps.finish();
+}
+
+// Rays of rows end where they ended, so those that ended on lamps alone are cast again.
+void RowCaster::State::castLamps(uint32_t first, std::span<const uint32_t> again, Scratch& s, GroupRows& group) const {
+  HitRows& rows = group.rows;
+  size_t at = 0, ray = 0;
+  for (const uint32_t patch : again) {
+    const size_t i = patch - first;
+    if (lamps.empty()) {
+      rows.lamps[i].clear();
+      continue;
+    }
+    s.on_lamps.clear();
+    for (; at < group.to_lamps.entry.size() && group.to_lamps.entry[at] < rows.start[i + 1]; ++at) {
+      const uint64_t entry = group.to_lamps.entry[at];
+      const bool emits = entry >= rows.start[i] && lamps.leafOf(rows.column[entry]) != kNone;
+      for (size_t left = rows.count[entry]; left > 0; --left, ++ray)
+        if (emits) s.on_lamps.push_back({rows.column[entry], group.to_lamps.ray[ray]});
+    }
+    std::sort(s.on_lamps.begin(), s.on_lamps.end(), [](const OnLamp& a, const OnLamp& b) { return a.ray < b.ray; });
+    for (const OnLamp& on : s.on_lamps) {
+      const std::span<SurfacePoint> point(&s.points[on.ray], 1);
+      surfacePoints(scene, set, patch, sobol, seed, caster, point, on.ray);
+      cosineRays(point, {&s.rays[on.ray], 1});
+      s.hits[on.ray] = caster.nearest(s.rays[on.ray]);
+    }
+    rows.lamps[i] = lampsOf(patch, rows.rays[i], s);
+  }
+}
+
+GroupRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCount& done) const {
   const uint32_t rays = raysFor(first, end, s);
   const size_t n = end - first;
-  HitRows rows;
+  GroupRows group;
+  HitRows& rows = group.rows;
   rows.rays.assign(n, rays);
   rows.square_error.assign(n, 0);
   rows.start.assign(n + 1, 0);
@@ -183,7 +243,7 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
   for (uint32_t patch = first; patch < end; ++patch) {
     const size_t i = patch - first;
     surfacePoints(scene, set, patch, sobol, seed, caster, points);
-    if (!lamps.empty()) s.lamps.aim(patch, rays);
+    s.on_lamps.clear();
     s.hit_patches.begin(rays);
     SkyRays& sky = s.sky[i];
     sky.look.clear();
@@ -216,14 +276,18 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
         continue;
       }
       s.hit_patches.add(s.met[k] = j, k);
-      if (lamps.leafOf(j) != kNone) s.lamps.hit(j, hit.triangle, hit.front, ray, hit.point, dot(ray.direction, from.normal));
+      if (lamps.leafOf(j) != kNone) s.on_lamps.push_back({j, static_cast<uint16_t>(k)});
     }
     for (const uint32_t hits : near) if (hits > kMaxRays * rays) ++rows.narrow[i];
-    if (!lamps.empty()) rows.lamps[i] = s.lamps.finish();
+    if (!lamps.empty()) rows.lamps[i] = lampsOf(patch, rays, s);
     rows.square_error[i] = static_cast<float>(tell(patch, rays, rows.sky[i], s));
     const std::span<RowHits::Entry> entries = s.hit_patches.entries();
     std::sort(entries.begin(), entries.end(), [](const RowHits::Entry& a, const RowHits::Entry& b) { return a.patch < b.patch; });
+    std::sort(s.on_lamps.begin(), s.on_lamps.end(), [](const OnLamp& a, const OnLamp& b) { return std::pair(a.patch, a.ray) < std::pair(b.patch, b.ray); });
+    auto on = s.on_lamps.begin();
     for (const RowHits::Entry& e : entries) {
+      if (on != s.on_lamps.end() && on->patch == e.patch) group.to_lamps.entry.push_back(rows.column.size());
+      for (; on != s.on_lamps.end() && on->patch == e.patch; ++on) group.to_lamps.ray.push_back(on->ray);
       rows.column.push_back(e.patch);
       rows.count.push_back(static_cast<uint16_t>(e.count()));
       rows.whole.push_back(e.whole);
@@ -238,7 +302,7 @@ HitRows RowCaster::State::cast(uint32_t first, uint32_t end, Scratch& s, WorkCou
     rows.sky_means[i] = sky[i].means();
   }
   rows.leaks = s.leaks.heaviest(kMaxLeaks);
-  return rows;
+  return group;
 }
 
 HitRows rowsOfRange(std::vector<HitRows> groups, float cell_m) {
@@ -251,13 +315,14 @@ HitRows rowsOfRange(std::vector<HitRows> groups, float cell_m) {
 
 void castRows(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, WorkCount& done, const TakeRows& take) {
   const std::vector<uint32_t> start = castRanges(set);
-  const RowCaster rows(scene, set, caster, budget, seed);
+  const LampTree lamps(scene, set, caster);
+  const RowCaster rows(scene, set, caster, lamps, budget, seed);
   std::atomic<size_t> next{0};
   onAllThreads([&] {  // in order: all are in one neighbourhood, of which memory holds what they need
     for (size_t r = next++; r + 1 < start.size(); r = next++) {
       const std::vector<uint32_t> group = castGroups(set, start[r], start[r + 1]);
       std::vector<HitRows> groups;
-      for (size_t g = 0; g + 1 < group.size(); ++g) groups.push_back(rows.cast(group[g], group[g + 1], nullptr, done));
+      for (size_t g = 0; g + 1 < group.size(); ++g) groups.push_back(std::move(rows.cast(group[g], group[g + 1], nullptr, nullptr, done).rows));
       take(start[r], rowsOfRange(std::move(groups), set.cell_m));
     }
   });

@@ -50,15 +50,30 @@ std::vector<uint32_t> castRanges(const PatchSet& set);
 // A range's patches by groups, whose rays guide each other's and are all that each other's depend on: first ones ascending, then `end`.
 std::vector<uint32_t> castGroups(const PatchSet& set, uint32_t first, uint32_t end);
 
+// Rays of a group's rows that end on patches that emit: all that the light of lamps takes from rows, which do not depend on lamps.
+struct LampRays {
+  std::vector<uint64_t> entry;  // of the rows: those whose patches emit, ascending
+  std::vector<uint16_t> ray;    // numbers in the row of the rays that end there: as many as the entry counts, ascending; entry by entry
+};
+
+// What a group has cast. rows.lamps is the light of lamps.
+struct GroupRows {
+  HitRows rows;  // columns are patches of the whole set
+  LampRays to_lamps;
+};
+
 // Casts the rows of groups of patches; rays towards lamps and, where it is seldom seen, the sky come on top: lamp_light.h and sky_light.h.
 class RowCaster {
  public:
-  // All outlive it.
-  RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed);
+  // All outlive it. lamps: those of the scene.
+  RowCaster(const Scene& scene, const PatchSet& set, const RayCaster& caster, const LampTree& lamps, RayBudget budget, uint64_t seed);
   ~RowCaster();
-  // The rows of one of castGroups(); columns are patches of the whole set. Thread-safe: each thread has memory of its own, by rays. trail: where the
-  // rays go is added to it; may be null. done: counts patches.
-  HitRows cast(uint32_t first, uint32_t end, RayTrail* trail, WorkCount& done) const;
+  // One of castGroups(). Thread-safe: each thread has memory of its own, by rays. Where rays go is added to trails, that of rays towards lamps to
+  // lamp_trail; both may be null. done: counts patches.
+  GroupRows cast(uint32_t first, uint32_t end, RayTrail* trail, RayTrail* lamp_trail, WorkCount& done) const;
+  // The light of lamps of a group's patches, those that `again` names, once more: lamps have changed, what the rows' rays passed and met has not, but that
+  // patches which they met may no longer emit. Thread-safe.
+  void castLamps(uint32_t first, std::span<const uint32_t> again, RayTrail* lamp_trail, GroupRows& group) const;
 
  private:
   struct State;

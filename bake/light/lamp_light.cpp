@@ -139,17 +139,17 @@ void LampLight::add(uint32_t leaf, double weight) {
 // With p the density of the row's rays (cosine / pi) and q that of rays towards lamps, both per steradian, N and K their numbers,
 // and P = N p, Q = K q: a ray of the row that arrives counts with the weight P^2 / (P^2 + Q^2), one towards a lamp with
 // Q^2 / (P^2 + Q^2), the power heuristic; and stands for p / P or p / Q of the emission.
-void LampLight::hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& ray, Vec3 at, float cosine) {
+void LampLight::hit(uint32_t emitter, const Hit& hit, const Ray& ray, float cosine) {
   const uint32_t leaf = tree_.leafOf(emitter);
   if (leaf == kNone) return;
   double density = 0;
   for (uint32_t node = leaf; node != kNone; node = tree_.parent(node)) {
     const uint32_t a = aim_of_node_[node];
     if (a >= aims_.size() || aims_[a].node != node) continue;
-    const auto& v = scene_.triangles[triangle].v;
+    const auto& v = scene_.triangles[hit.triangle].v;
     const Vec3 corner = scene_.positions[v[0]];
-    const Vec3 normal = normalized(cross(scene_.positions[v[1]] - corner, scene_.positions[v[2]] - corner)) * (front ? 1.0f : -1.0f);
-    const Vec3 way = at - ray.origin;
+    const Vec3 normal = normalized(cross(scene_.positions[v[1]] - corner, scene_.positions[v[2]] - corner)) * (hit.front ? 1.0f : -1.0f);
+    const Vec3 way = hit.point - ray.origin;
     const double leaving = -static_cast<double>(dot(normal, ray.direction));
     if (leaving > 0) density = chance_[a] * tree_.density(node, leaf) * static_cast<double>(dot(way, way)) / leaving;
     break;

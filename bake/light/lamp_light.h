@@ -21,7 +21,7 @@ struct LampIrradiance {
 // The entry of a group in a list by group; a new one where there is none.
 LampIrradiance& entryOf(std::vector<LampIrradiance>& lamps, uint16_t group);
 
-// One patch at a time; keep one a thread. The order of calls is aim(), hit() for each ray of the row that meets an emitter,
+// One patch at a time; keep one a thread. The order of calls is aim(), hit() for each ray of the row that ends on a patch that emits, in the row's order,
 // finish().
 class LampLight {
  public:
@@ -33,7 +33,7 @@ class LampLight {
   // rays: of the patch's row. It casts up to as many towards lamps, fewer where they are seen whole.
   void aim(uint32_t patch, uint32_t rays);
   // A cosine-distributed ray of the row that ends on a patch. cosine: between ray and normal where it starts.
-  void hit(uint32_t emitter, uint32_t triangle, bool front, const Ray& ray, Vec3 at, float cosine);
+  void hit(uint32_t emitter, const Hit& hit, const Ray& ray, float cosine);
   // Casts the rays; by group, ascending.
   std::vector<LampIrradiance> finish();
 

@@ -1,6 +1,7 @@
 // A binary tree over the emitters of a scene: which of them may light a place, and how much at most.
 // Alejandro Conty Estevez, Christopher Kulla. Importance sampling of many lights with adaptive tree splitting. 2018.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -43,6 +44,8 @@ class LampTree {
   // The leaf of an emitting patch; kNone for others.
   uint32_t leafOf(uint32_t patch) const { return leaf_of_[patch]; }
   uint32_t parent(uint32_t node) const { return nodes_[node].parent; }  // kNone: the root
+  bool isLeaf(uint32_t node) const { return nodes_[node].isLeaf(); }
+  std::array<uint32_t, 2> children(uint32_t node) const { return {nodes_[node].left, nodes_[node].right}; }  // of no leaf; larger numbers than its own
   float power(uint32_t node) const { return nodes_[node].power; }       // area times luminance; > 0
 
   struct Point {

@@ -29,7 +29,7 @@ struct AllAlongAxes {
 }  // namespace
 
 void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-                   const RayCaster& caster, std::span<SurfacePoint> points) {
+                   const RayCaster& caster, std::span<SurfacePoint> points, uint32_t first) {
   const Patch& p = set.patches[patch];
   const std::span<const PatchTriangle> triangles(set.triangles.data() + p.first_triangle, p.triangles);
   const float whole = triangles.back().cumulative_area;
@@ -51,7 +51,7 @@ void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, cons
   for (uint32_t i = 0; i < points.size(); ++i) {
     const size_t k = i % kPointsAtOnce;
     if (k == 0)
-      for (uint32_t d = 0; d < 4; ++d) sobol.points(i, d, seeds, std::span(u[d]).first(std::min(kPointsAtOnce, points.size() - i)));
+      for (uint32_t d = 0; d < 4; ++d) sobol.points(first + i, d, seeds, std::span(u[d]).first(std::min(kPointsAtOnce, points.size() - i)));
     float pick = u[2][k], v = u[3][k];
     const Facet* facet = nullptr;
     Vec3 position;

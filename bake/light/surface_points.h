@@ -18,9 +18,10 @@ struct SurfacePoint {
 // the weight of a sample of one kind, given how densely both kinds of samples fall where it lies, all of a kind together.
 inline double powerWeight(double own, double other) { return own * own / (own * own + other * other); }
 
-// Points stratified over the patch, holes left out; they depend on the seed, the patch and its name alone. At most as many as sobol has.
+// Points stratified over the patch, holes left out; they depend on the seed, the patch and its name alone. At most as many as sobol has. first: number of
+// the first of them.
 void surfacePoints(const Scene& scene, const PatchSet& set, uint32_t patch, const SobolTable& sobol, uint64_t seed,
-                   const RayCaster& caster, std::span<SurfacePoint> points);
+                   const RayCaster& caster, std::span<SurfacePoint> points, uint32_t first = 0);
 
 // A cosine-distributed ray from each, as its u and v have it.
 void cosineRays(std::span<const SurfacePoint> points, std::span<Ray> rays);

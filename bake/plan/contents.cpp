@@ -55,7 +55,7 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
   tbb::parallel_for(size_t{0}, triangle_.size(), [&](size_t t) { triangle_[t] = triangleDigest(static_cast<uint32_t>(t)); });
   addPieces();
 
-  ByteWriter names, lamps;
+  ByteWriter names;
   for (uint32_t p = 0; p < set.patches.size();) {
     const uint64_t cube = hilbertAncestor(set.patches[p].key, kMetLog);
     const uint32_t first = p;
@@ -69,23 +69,13 @@ Contents::Contents(const Scene& scene, const PatchSet& set) : scene_(scene), set
     }
     patches_.push_back({cube, first, p, digestOf(names.data())});
   }
-  for (uint32_t p = 0; p < set.patches.size(); ++p) {
-    const Patch& patch = set.patches[p];
-    if (!patch.emits()) continue;
-    for (const uint64_t half : surface(p, p + 1)) lamps.u64(half);
-    lamps.vec3(patch.emission);
-    lamps.u16(patch.lamp_group);
-  }
-  lamps_ = digestOf(lamps.data());
 }
 
 uint64_t Contents::materialDigest(const Material& m) const {
   ByteWriter b;
   for (const float x : {m.alpha, m.alpha_cutoff, m.transmission}) b.f32(x);
-  b.vec3(m.emission);
   for (const bool is : {m.repeat, m.double_sided, m.cutout, m.blend, m.occlude_only}) b.u8(is);
   b.u64(imageDigest(scene_, m.cutout ? m.base_image : kNone));
-  b.u64(imageDigest(scene_, m.emission_image));
   return formats::hashBytes(b.data());
 }
 
@@ -99,7 +89,6 @@ uint64_t Contents::triangleDigest(uint32_t t) const {
     b.vec3(scene_.positions[v]);
     if (m.cutout && !scene_.uv0.empty()) add(scene_.uv0[v]);
     if (m.cutout && !scene_.colors.empty()) b.f32(scene_.colors[v].a);
-    if (m.emission_image != kNone && !scene_.uv1.empty()) add(scene_.uv1[v]);
   }
   return formats::hashBytes(b.data());
 }

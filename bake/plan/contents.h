@@ -1,5 +1,5 @@
 // What stands where, as digests: what rays can meet in each cube of the world, and the patches of each range that is cast together. Equal
-// digests: rays that stay there find the same.
+// digests: rays that stay there find the same, whatever it emits (lamp_digests.h).
 #pragma once
 #include <cstdint>
 #include <span>
@@ -29,10 +29,8 @@ class Contents {
   void append(const CubeBox::Cube& block, uint64_t cubes, uint64_t place, std::vector<Digest>& held) const;
   // Of the patches whose cells lie in a cube of 2^kMetLog cells, by its Hilbert key: names, orientations and corners, in order. Zeros: there are none.
   Digest patchesIn(uint64_t key) const;
-  // Of patches [first, end): all that a ray that starts on them depends on.
+  // Of patches [first, end): all that a ray that starts on them depends on, or that is aimed at them.
   Digest surface(uint32_t first, uint32_t end) const;
-  // Of all that emits: the aims of rays towards lamps depend on every lamp.
-  const Digest& lamps() const { return lamps_; }
 
   // All blocks' digests, for changesSince().
   std::vector<std::byte> encoded() const;
@@ -68,7 +66,6 @@ class Contents {
   PagedVector<uint64_t> held_;                       // digests of cubes that hold anything
   std::unordered_map<uint32_t, Block> blocks_;       // those that hold anything
   PagedVector<Range> patches_;                       // by cube of 2^kMetLog cells, ascending
-  Digest lamps_{};
 };
 
 }  // namespace ff::bake

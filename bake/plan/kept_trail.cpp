@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <map>
 #include <span>
 #include <utility>
 
@@ -44,6 +45,11 @@ CubeBox takeBox(ByteReader& in) {
 void sortUnique(std::vector<uint64_t>& keys) {
   std::sort(keys.begin(), keys.end());
   keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
+}
+
+void setSeen(KeptTrail& trail, const Contents& contents) {
+  for (CubesOfBlock& of : trail.passed) if (std::popcount(of.cubes) >= kDense) of.cubes = ~uint64_t{0};
+  trail.seen = seenNow(contents, trail);
 }
 
 // met: of all trails.
@@ -101,8 +107,24 @@ KeptTrail keptTrail(const RayTrail& rays, const HitRows& rows, const PatchSet& s
     if (trail.met.empty() || trail.met.back() != key) trail.met.push_back(key);
   }
   sortUnique(trail.met);
-  for (CubesOfBlock& of : trail.passed) if (std::popcount(of.cubes) >= kDense) of.cubes = ~uint64_t{0};
-  trail.seen = seenNow(contents, trail);
+  setSeen(trail, contents);
+  return trail;
+}
+
+KeptTrail keptBeyond(const KeptTrail& rows, const RayTrail& rays, const KeptTrail* more, const Contents& contents) {
+  KeptTrail trail{.box = contents.box(), .left = rays.left(), .passed = {}, .met = {}};
+  std::map<uint32_t, uint64_t> cubes;  // by block
+  for (const CubesOfBlock& of : rays.passed()) cubes[of.block] |= of.cubes;
+  if (rows.box == trail.box)
+    for (const CubesOfBlock& of : rows.passed)
+      if (const auto found = cubes.find(of.block); found != cubes.end()) found->second &= ~of.cubes;
+  if (more) {
+    trail.left = Sides(trail.left.bits() | more->left.bits());
+    for (const CubesOfBlock& of : more->passed) cubes[of.block] |= of.cubes;
+  }
+  for (const auto& [block, of] : cubes)
+    if (of != 0) trail.passed.push_back({block, of});
+  setSeen(trail, contents);
   return trail;
 }
 

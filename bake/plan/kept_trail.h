@@ -21,6 +21,9 @@ struct KeptTrail {
 
 // rows: what the rays hit.
 KeptTrail keptTrail(const RayTrail& rays, const HitRows& rows, const PatchSet& set, const Contents& contents);
+// Of rays towards lamps, of groups whose rows' rays have left `rows`, as long as that is as it was: the cubes that it has not got. more: what others of the
+// group have left, in today's box, or null.
+KeptTrail keptBeyond(const KeptTrail& rows, const RayTrail& rays, const KeptTrail* more, const Contents& contents);
 // Whether nothing has changed where the rays went.
 bool isAsItWas(const KeptTrail& trail, const Contents& contents);
 

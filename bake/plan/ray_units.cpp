@@ -47,21 +47,30 @@ std::optional<Raw> takePart(ByteReader& in, std::span<const std::byte> record) {
 
 struct RayUnits::Group {
   KeptTrail trail;
-  bool clean = false;
-  HitRows rows;  // of a clean one
+  bool clean = false;             // its rows
+  GroupRows cast;                 // of a clean one; the light of lamps where it is `lit`
+  KeptTrail lamp_trail;           // keptBeyond() `trail`
+  uint64_t all_lamps = 0;         // LampDigests::all()
+  std::vector<uint64_t> lamps;    // LampDigests::of(), by patch
+  std::vector<uint8_t> lit;       // by patch: its light of lamps is clean, too
+  size_t litPatches() const { return static_cast<size_t>(std::count(lit.begin(), lit.end(), 1)); }
+  bool isLit() const { return clean && litPatches() == lit.size(); }
 };
 
 CachedRays& CachedRays::operator+=(const CachedRays& more) {
-  clean += more.clean;
-  stale += more.stale;
-  missing += more.missing;
+  for (const auto part : {&CachedRays::rows, &CachedRays::lamps}) {
+    (this->*part).clean += (more.*part).clean;
+    (this->*part).stale += (more.*part).stale;
+    (this->*part).missing += (more.*part).missing;
+  }
   clean_rays += more.clean_rays;
   by_others += more.by_others;
   return *this;
 }
 
-RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, uint64_t seed, BakeCache& cache)
-    : scene_(scene), set_(set), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), start_(castRanges(set)), keys_(units()) {
+RayUnits::RayUnits(const Scene& scene, const PatchSet& set, const RayCaster& caster, RayBudget budget, uint64_t seed, BakeCache& cache)
+    : scene_(scene), set_(set), caster_(caster), budget_(budget), seed_(seed), cache_(cache), contents_(scene, set), lamps_(scene, set, caster),
+      lamp_digests_(lamps_, set, contents_), start_(castRanges(set)), keys_(units()) {
   ByteWriter b;
   b.u32(kBakeCode);
   b.u32(budget.rays);
@@ -73,7 +82,7 @@ RayUnits::RayUnits(const Scene& scene, const PatchSet& set, RayBudget budget, ui
   settings_ = digestOf(b.data());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
     ByteWriter key;
-    for (const Digest& d : {settings_, contents_.lamps(), contents_.surface(start_[u], start_[u + 1])}) key.u64(d[0]), key.u64(d[1]);
+    for (const Digest& d : {settings_, contents_.surface(start_[u], start_[u + 1])}) key.u64(d[0]), key.u64(d[1]);
     keys_[u] = digestOf(key.data());
   });
 }
@@ -82,8 +91,8 @@ namespace {
 
 // The parts of a unit's file, group after group. Columns are patches of the whole set, ascending, so that those of one cube of 2^kMetLog cells
 // follow each other: runs, within which patches count from the first of their cube.
-constexpr size_t kParts = 5;
-enum Part { kTrails, kSights, kRuns, kIndex, kHits };
+constexpr size_t kParts = 8;
+enum UnitPart { kTrails, kSights, kRuns, kIndex, kHits, kLampTrails, kLampKeys, kLampRays };
 
 using Ranges = std::vector<std::pair<uint32_t, uint32_t>>;
 Ranges rangesOf(const Contents& contents, std::span<const uint64_t> met) {
@@ -145,93 +154,205 @@ bool takeRows(UnitFile& file, const Ranges* ranges, HitRows& rows) {
   return file.ok();
 }
 
+void putLampRays(ByteWriter& out, const GroupRows& cast) {
+  const HitRows& rows = cast.rows;
+  auto entry = cast.to_lamps.entry.begin();
+  auto ray = cast.to_lamps.ray.begin();
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    const auto end = std::lower_bound(entry, cast.to_lamps.entry.end(), rows.start[i + 1]);
+    putVarint(out, static_cast<uint64_t>(end - entry));
+    for (uint64_t last = rows.start[i]; entry != end; last = *entry++) {
+      putVarint(out, *entry - last);
+      uint16_t last_ray = 0;
+      for (const auto last_of_it = ray + rows.count[*entry]; ray != last_of_it; last_ray = *ray++) putVarint(out, uint64_t{*ray} - last_ray);
+    }
+  }
+}
+
+// What putLampRays() wrote. False where it is not that.
+bool takeLampRays(ByteReader& in, GroupRows& cast) {
+  const HitRows& rows = cast.rows;
+  for (size_t i = 0; i < rows.patches(); ++i) {
+    uint64_t entry = rows.start[i];
+    for (uint64_t left = takeVarint(in); left > 0; --left) {
+      entry += takeVarint(in);
+      if (entry >= rows.start[i + 1] || !in.ok()) return false;
+      cast.to_lamps.entry.push_back(entry);
+      uint64_t ray = 0;
+      for (uint32_t of_entry = rows.count[entry]; of_entry > 0; --of_entry) {
+        ray += takeVarint(in);
+        if (ray >= rows.rays[i]) return false;
+        cast.to_lamps.ray.push_back(static_cast<uint16_t>(ray));
+      }
+    }
+  }
+  return in.ok();
+}
+
+// Whether rays of rows end on a patch that has begun to emit.
+bool meetsNewLamp(const GroupRows& cast, const LampTree& lamps) {
+  if (lamps.empty()) return false;
+  auto known = cast.to_lamps.entry.begin();
+  for (uint64_t k = 0; k < cast.rows.column.size(); ++k) {
+    if (known != cast.to_lamps.entry.end() && *known == k) ++known;
+    else if (lamps.leafOf(cast.rows.column[k]) != kNone) return true;
+  }
+  return false;
+}
+
 bool isClean(std::span<const RayUnits::Group> groups) {
-  return !groups.empty() && std::all_of(groups.begin(), groups.end(), [](const RayUnits::Group& g) { return g.clean; });
+  return !groups.empty() && std::all_of(groups.begin(), groups.end(), [](const RayUnits::Group& g) { return g.isLit(); });
 }
 
 HitRows rowsOf(std::vector<RayUnits::Group> groups, float cell_m) {
   std::vector<HitRows> rows;
-  for (RayUnits::Group& g : groups) rows.push_back(std::move(g.rows));
+  for (RayUnits::Group& g : groups) rows.push_back(std::move(g.cast.rows));
   return rowsOfRange(std::move(rows), cell_m);
 }
 
 }  // namespace
 
-std::vector<RayUnits::Group> RayUnits::load(size_t unit, bool with_rows) const {
+std::vector<uint64_t> RayUnits::lampDigests(uint32_t first, const GroupRows& cast) const {
+  std::vector<uint64_t> digests;
+  std::vector<uint32_t> met;
+  auto entry = cast.to_lamps.entry.begin();
+  for (size_t i = 0; i < cast.rows.patches(); ++i) {
+    met.clear();
+    for (; entry != cast.to_lamps.entry.end() && *entry < cast.rows.start[i + 1]; ++entry) met.push_back(cast.rows.column[*entry]);
+    digests.push_back(lamp_digests_.of(first + static_cast<uint32_t>(i), met));
+  }
+  return digests;
+}
+
+std::vector<RayUnits::Group> RayUnits::load(size_t unit) const {
   const auto bytes = cache_.load(kRays, keys_[unit]);
   if (!bytes) return {};
   ByteReader record(*bytes);
   UnitFile file;
-  for (size_t part = 0; part < (with_rows ? kParts : kTrails + 1); ++part) {
+  for (size_t part = 0; part < kParts; ++part) {
     auto taken = takePart(record, *bytes);
     if (!taken) return {};
     file.raw[part] = std::move(*taken);
     file.in.emplace_back(file.raw[part]);
   }
   const std::vector<uint32_t> start = castGroups(set_, start_[unit], start_[unit + 1]);
-  std::vector<KeptTrail> trails = takeTrails(file.in[kTrails], start.size() - 1);
+  std::vector<KeptTrail> trails = takeTrails(file.in[kTrails], start.size() - 1), lamp_trails = takeTrails(file.in[kLampTrails], start.size() - 1);
+  if (trails.empty() || lamp_trails.empty()) return {};
   std::vector<Group> groups(trails.size());
   for (size_t g = 0; g < groups.size(); ++g) {
-    groups[g].trail = std::move(trails[g]);
-    groups[g].clean = isAsItWas(groups[g].trail, contents_);
-    if (!with_rows) continue;
-    const Ranges ranges = rangesOf(contents_, groups[g].trail.met);
-    if (!takeRows(file, groups[g].clean ? &ranges : nullptr, groups[g].rows) || groups[g].rows.patches() != start[g + 1] - start[g]) return {};
-    if (!groups[g].clean) groups[g].rows = {};
+    Group& group = groups[g];
+    const size_t n = start[g + 1] - start[g];
+    group.trail = std::move(trails[g]);
+    group.lamp_trail = std::move(lamp_trails[g]);
+    group.clean = isAsItWas(group.trail, contents_);
+    const Ranges ranges = rangesOf(contents_, group.trail.met);
+    if (!takeRows(file, group.clean ? &ranges : nullptr, group.cast.rows) || group.cast.rows.patches() != n || !takeLampRays(file.in[kLampRays], group.cast)) return {};
+    file.in[kLampKeys].u64(group.all_lamps);
+    takeValues(file.in[kLampKeys], file.raw[kLampKeys], n, group.lamps);
+    if (!file.ok()) return {};
+    group.clean = group.clean && !meetsNewLamp(group.cast, lamps_);
+    group.lit.assign(n, 0);
+    if (!group.clean) {
+      group.cast = {};
+    } else if (isAsItWas(group.lamp_trail, contents_)) {
+      if (group.all_lamps == lamp_digests_.all()) group.lit.assign(n, 1);
+      else std::ranges::transform(lampDigests(start[g], group.cast), group.lamps, group.lit.begin(), std::equal_to());
+    }
   }
   return groups;
 }
 
 void RayUnits::store(size_t unit, std::span<const Group> groups) const {
   std::array<ByteWriter, kParts> parts;
-  std::vector<const KeptTrail*> trails;
+  std::vector<const KeptTrail*> trails, lamp_trails;
   for (const Group& group : groups) {
     trails.push_back(&group.trail);
-    putRows(parts, group.rows, rangesOf(contents_, group.trail.met));
+    lamp_trails.push_back(&group.lamp_trail);
+    putRows(parts, group.cast.rows, rangesOf(contents_, group.trail.met));
+    putLampRays(parts[kLampRays], group.cast);
+    parts[kLampKeys].u64(group.all_lamps);
+    putValues(parts[kLampKeys], group.lamps);
   }
   putTrails(parts[kTrails], trails);
+  putTrails(parts[kLampTrails], lamp_trails);
   ByteWriter record;
   for (ByteWriter& part : parts) putPart(record, part.data());
   cache_.store(kRays, keys_[unit], record.data());
 }
 
 void RayUnits::count(size_t unit, std::span<const Group> groups, CachedRays& found) const {
-  if (groups.empty()) found.missing += start_[unit + 1] - start_[unit];
+  if (groups.empty()) {
+    found.rows.missing += start_[unit + 1] - start_[unit];
+    found.lamps.missing += start_[unit + 1] - start_[unit];
+  }
   const std::vector<uint32_t> start = castGroups(set_, start_[unit], start_[unit + 1]);
   for (size_t g = 0; g < groups.size(); ++g) {
-    (groups[g].clean ? found.clean : found.stale) += start[g + 1] - start[g];
-    found.clean_rays = std::accumulate(groups[g].rows.rays.begin(), groups[g].rows.rays.end(), found.clean_rays);
+    const size_t n = start[g + 1] - start[g], lit = groups[g].litPatches();
+    (groups[g].clean ? found.rows.clean : found.rows.stale) += n;
+    found.lamps.clean += lit;
+    found.lamps.stale += n - lit;
+    found.clean_rays = std::accumulate(groups[g].cast.rows.rays.begin(), groups[g].cast.rows.rays.end(), found.clean_rays);
   }
 }
 
 // Casts what is not clean of units, and keeps it in the cache.
 class RayUnits::Casting {
  public:
-  Casting(const RayUnits& units, const RayCaster& caster)
-      : units_(units), caster_(units.scene_, units.set_, caster, units.budget_, units.seed_), trails_([&] { return RayTrail(units.contents_.box()); }) {}
+  explicit Casting(const RayUnits& units)
+      : units_(units), caster_(units.scene_, units.set_, units.caster_, units.lamps_, units.budget_, units.seed_), trails_([&] { return Trails(units.contents_.box()); }) {}
 
   HitRows cast(size_t unit, WorkCount& done) {
-    RayTrail& trail = trails_.local();
     const std::vector<uint32_t> start = castGroups(units_.set_, units_.start_[unit], units_.start_[unit + 1]);
-    std::vector<Group> groups = units_.load(unit, true);
+    std::vector<Group> groups = units_.load(unit);
     groups.resize(start.size() - 1);
     for (size_t g = 0; g < groups.size(); ++g) {
-      if (groups[g].clean) {
+      if (!groups[g].clean) castAll(start[g], start[g + 1], groups[g], done);
+      else {
+        if (!groups[g].isLit()) castLamps(start[g], groups[g]);
         done.add(start[g + 1] - start[g]);
-        continue;
       }
-      trail.clear();
-      groups[g].rows = caster_.cast(start[g], start[g + 1], &trail, done);
-      groups[g].trail = keptTrail(trail, groups[g].rows, units_.set_, units_.contents_);
     }
     units_.store(unit, groups);
     return rowsOf(std::move(groups), units_.set_.cell_m);
   }
 
  private:
+  struct Trails {
+    explicit Trails(const CubeBox& box) : rows(box), lamps(box) {}
+    RayTrail rows, lamps;
+  };
+
+  void castAll(uint32_t first, uint32_t end, Group& group, WorkCount& done) {
+    Trails& trails = trails_.local();
+    trails.rows.clear();
+    trails.lamps.clear();
+    group.cast = caster_.cast(first, end, &trails.rows, &trails.lamps, done);
+    group.trail = keptTrail(trails.rows, group.cast.rows, units_.set_, units_.contents_);
+    group.lamp_trail = keptBeyond(group.trail, trails.lamps, nullptr, units_.contents_);
+    keepLampDigests(first, group);
+  }
+
+  void castLamps(uint32_t first, Group& group) {
+    const bool same_box = group.lamp_trail.box == units_.contents_.box();
+    if (!same_box) std::ranges::fill(group.lit, 0);  // else its trail and that of today could not be one
+    std::vector<uint32_t> again;
+    for (uint32_t i = 0; i < group.lit.size(); ++i)
+      if (!group.lit[i]) again.push_back(first + i);
+    RayTrail& trail = trails_.local().lamps;
+    trail.clear();
+    caster_.castLamps(first, again, &trail, group.cast);
+    group.lamp_trail = keptBeyond(group.trail, trail, again.size() < group.lit.size() ? &group.lamp_trail : nullptr, units_.contents_);
+    keepLampDigests(first, group);
+  }
+
+  void keepLampDigests(uint32_t first, Group& group) const {
+    group.all_lamps = units_.lamp_digests_.all();
+    group.lamps = units_.lampDigests(first, group.cast);
+  }
+
   const RayUnits& units_;
   const RowCaster caster_;
-  tbb::enumerable_thread_specific<RayTrail> trails_;
+  tbb::enumerable_thread_specific<Trails> trails_;
 };
 
 namespace {
@@ -277,11 +398,11 @@ class Handout {
 
 }  // namespace
 
-void RayUnits::cast(const RayCaster& caster, WorkCount& done, CachedRays& found, const TakeRows& take, Ranks* ranks) {
+void RayUnits::cast(WorkCount& done, CachedRays& found, const TakeRows& take, Ranks* ranks) {
   tbb::combinable<CachedRays> counts;
   std::vector<uint8_t> clean(units());
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {  // all of them first: what is left of the cache then may be trimmed
-    std::vector<Group> groups = load(u, true);
+    std::vector<Group> groups = load(u);
     count(u, groups, counts.local());
     if (!isClean(groups)) return;
     clean[u] = true;
@@ -296,13 +417,13 @@ void RayUnits::cast(const RayCaster& caster, WorkCount& done, CachedRays& found,
   if (ranks) ranks->serve([&] { return handout.others(); }, [&](uint32_t unit) { handout.isDone(unit); });
   const auto ended = [](Ranks* r) { if (r) r->endUnits(); };
   const std::unique_ptr<Ranks, decltype(ended)> end(ranks, ended);  // before the handout goes
-  Casting casting(*this, caster);
+  Casting casting(*this);
   std::atomic<uint64_t> by_others{0};
   onAllThreads([&] {
     for (Handout::Work work = handout.own(); work.unit != kNoUnit; work = handout.own()) {
       const uint32_t first = start_[work.unit], patches = start_[work.unit + 1] - first;
       std::vector<Group> groups;
-      if (work.in_cache) groups = load(work.unit, true);
+      if (work.in_cache) groups = load(work.unit);
       if (isClean(groups)) {
         by_others += patches;
         done.add(patches);
@@ -316,8 +437,8 @@ void RayUnits::cast(const RayCaster& caster, WorkCount& done, CachedRays& found,
   cache_.store(kContents, settings_, contents_.encoded());
 }
 
-void RayUnits::help(const RayCaster& caster, WorkCount& done, Ranks& ranks) {
-  Casting casting(*this, caster);
+void RayUnits::help(WorkCount& done, Ranks& ranks) {
+  Casting casting(*this);
   onAllThreads([&] {
     for (uint32_t unit = ranks.ask(kNoUnit); unit < units(); unit = ranks.ask(unit)) casting.cast(unit, done);
   });
@@ -326,7 +447,7 @@ void RayUnits::help(const RayCaster& caster, WorkCount& done, Ranks& ranks) {
 CachedRays RayUnits::status(WorkCount& done, std::vector<Vec3>& changed) {
   tbb::combinable<CachedRays> counts;
   tbb::parallel_for(size_t{0}, units(), [&](size_t u) {
-    count(u, load(u, false), counts.local());
+    count(u, load(u), counts.local());
     done.add(start_[u + 1] - start_[u]);
   });
   changed.clear();

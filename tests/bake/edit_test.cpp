@@ -90,8 +90,8 @@ TEST(Edit, ChunksThatNeitherHoldANewHouseNorSeeThoseThatDoKeepTheirBytes) {
   }
   std::cout << far << " chunks of " << after->chunks(0).size() << " neither hold nor see it\n";
   EXPECT_GT(far, 10u);
-  std::cout << "the rays of " << stats->cached.clean << " patches of " << stats->cached.patches() << " were not cast again\n";
-  EXPECT_GT(2 * stats->cached.clean, stats->cached.patches());
+  std::cout << "the rays of " << stats->cached.rows.clean << " patches of " << stats->cached.patches() << " were not cast again\n";
+  EXPECT_GT(2 * stats->cached.rows.clean, stats->cached.patches());
   EXPECT_GT(near_changed, 0u);
 }
 

@@ -89,12 +89,43 @@ nlohmann::json baked(const std::filesystem::path& folder, uint32_t rays, uint64_
   return stats;
 }
 
-// The share of a bake's patches whose rays an edit has cast again; the bake is in the cache.
-double editShare(const Scene& town, Vec3 ground, BakeSettings settings) {
-  Scene edited = town;  // and a house of 3.5 x 3.5 x 5.5 m
-  test::addBlock(edited, ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}, town.triangles[0].material, false);
+// The shares of a bake's patches whose rows, and whose light of lamps, are cast again for what was edited; the bake is in the cache.
+struct CastAgain {
+  double rows = 0, lamps = 0;
+};
+CastAgain castAgain(const Scene& edited, const BakeSettings& settings) {
   const CachedRays cached = orExit(bakeStatus(edited, settings)).cached;
-  return 1 - static_cast<double>(cached.clean) / static_cast<double>(cached.patches());
+  const auto again = [&](const CachedRays::Patches& of) { return 1 - static_cast<double>(of.clean) / static_cast<double>(cached.patches()); };
+  return {again(cached.rows), again(cached.lamps)};
+}
+
+// And a house of 3.5 x 3.5 x 5.5 m.
+double editShare(const Scene& town, Vec3 ground, const BakeSettings& settings) {
+  Scene edited = town;
+  test::addBlock(edited, ground - Vec3{1.75f, 0, 1.75f}, ground + Vec3{1.75f, 5.5f, 1.75f}, town.triangles[0].material, false);
+  return castAgain(edited, settings).rows;
+}
+
+// The street lamp nearest to a place is moved upwards by 1 m.
+Scene withLampMoved(const Scene& town, Vec3 place) {
+  Scene edited = town;
+  const auto middle = [&](const Triangle& t) { return (town.positions[t.v[0]] + town.positions[t.v[1]] + town.positions[t.v[2]]) / 3; };
+  const auto isLamp = [&](const Triangle& t) { return town.materials[t.material].name == "street lamp"; };
+  Vec3 lamp{1e9f, 1e9f, 1e9f};
+  for (const Triangle& t : town.triangles)
+    if (isLamp(t) && length(middle(t) - place) < length(lamp - place)) lamp = middle(t);
+  for (Triangle& t : edited.triangles) {
+    if (!isLamp(t) || length(middle(t) - lamp) > 2) continue;
+    for (uint32_t& v : t.v) {
+      const Vec3 to = town.positions[v] + Vec3{0, 1, 0};
+      if (!edited.uv0.empty()) edited.uv0.push_back(Vec2(edited.uv0[v]));
+      if (!edited.uv1.empty()) edited.uv1.push_back(Vec2(edited.uv1[v]));
+      if (!edited.colors.empty()) edited.colors.push_back(Rgba(edited.colors[v]));
+      v = static_cast<uint32_t>(edited.positions.size());
+      edited.positions.push_back(to);
+    }
+  }
+  return edited;
 }
 
 // Embree with a scene's triangles, and nothing else.
@@ -328,10 +359,18 @@ int main(int argc, char** argv) {
   };
   Box all_of_it;
   for (const Vec3& at : scene.positions) all_of_it.add(at);
+  const Vec3 street = placeOf({(made.street_from.x + made.street_to.x) / 2, 0, (made.street_from.z + made.street_to.z) / 2});
   const double corner = editShare(scene, {all_of_it.lo.x + 12, 0, all_of_it.lo.z + 12}, asked);
-  print("bake.edit_share", editShare(scene, placeOf({(made.street_from.x + made.street_to.x) / 2, 0, (made.street_from.z + made.street_to.z) / 2}), asked), "ratio", 0.1,
+  print("bake.edit_share", editShare(scene, street, asked), "ratio", 0.1,
         "patches whose rays are cast again after a house of 4 m was built in the middle of the street through the town; in a corner of it " + std::to_string(corner) +
             ". Bound by what sees it, in groups of patches that a cube of 4 cells holds. Patches, pyramid and strips are made anew whole");
+  Scene dimmed = scene;
+  for (Material& m : dimmed.materials)
+    if (m.name == "street lamp") m.emission = m.emission * 0.5f;
+  const CastAgain moved = castAgain(withLampMoved(scene, street), asked), of_dimmed = castAgain(dimmed, asked);
+  print("bake.edit_share_lamp", moved.rows, "ratio", kNoLimit,
+        "patches whose rows are cast again after a street lamp there was moved by 1 m; their light of lamps, a fifth of casting: " + std::to_string(moved.lamps) +
+            "; after all street lamps were dimmed: rows " + std::to_string(of_dimmed.rows) + ", light of lamps " + std::to_string(of_dimmed.lamps));
 
   const Scene little = town(folder, small);
   const BakeStats little_stats = orExit(bakeWorld(little, {.cell_m = 1, .rays = rays}, (folder / "little.ffm").string()));

@@ -49,8 +49,10 @@ nlohmann::json toJson(const std::vector<bake::Finding>& findings) {
   return out;
 }
 
-nlohmann::json toJson(const bake::CachedRays& patches) {
-  return {{"clean", patches.clean}, {"stale", patches.stale}, {"missing", patches.missing}, {"by_other_ranks", patches.by_others}};
+nlohmann::json toJson(const bake::CachedRays& cached) {
+  const auto& [clean, stale, missing] = cached.rows;
+  return {{"clean", clean}, {"stale", stale}, {"missing", missing}, {"by_other_ranks", cached.by_others},
+          {"light_of_lamps", {{"clean", cached.lamps.clean}, {"stale", cached.lamps.stale}, {"missing", cached.lamps.missing}}}};
 }
 
 }  // namespace
@@ -96,8 +98,8 @@ void printSummary(const bake::BakeStats& s, const std::string& world, const Phas
   for (const auto& [phase, seconds] : phases) fmt::print(" {} {:.1f}", phase, seconds);
   fmt::print("\n");
   if (cache_bytes > 0) {
-    fmt::print("  the rays of {} of {} patches were in the cache, which holds {:.1f} MB now\n", s.cached.clean, s.cached.patches(),
-               static_cast<double>(cache_bytes) * 1e-6);
+    fmt::print("  the rows of {} of {} patches were in the cache, and the light of lamps of {}; it holds {:.1f} MB now\n", s.cached.rows.clean,
+               s.cached.patches(), s.cached.lamps.clean, static_cast<double>(cache_bytes) * 1e-6);
     if (s.cached.by_others > 0) fmt::print("  those of {} were cast by other ranks\n", s.cached.by_others);
   }
   printNotModelled(s.findings);
@@ -127,9 +129,12 @@ nlohmann::json toJson(const bake::BakeStats& s, const PhaseTimes& phases, uint64
 void printStatus(const bake::BakeStatus& s, const std::string& world, uint64_t cache_bytes) {
   constexpr size_t kMostPlaces = 5;
   fmt::print("{}: {} patches of {:.4g} m; the cache holds {:.1f} MB\n", world, s.patches, static_cast<double>(s.cell_m), static_cast<double>(cache_bytes) * 1e-6);
-  fmt::print("  rays: of {} patches {} are clean; {} are stale, as something has changed where their rays went; {} are missing, as their surface, the\n"
-             "        lamps or the settings were never cast before\n",
-             s.cached.patches(), s.cached.clean, s.cached.stale, s.cached.missing);
+  fmt::print("  rows: of {} patches {} are clean; {} are stale, as something has changed where their rays went; {} are missing, as their surface\n"
+             "        or the settings were never cast before\n",
+             s.cached.patches(), s.cached.rows.clean, s.cached.rows.stale, s.cached.rows.missing);
+  fmt::print("  light of lamps: that of {} is clean; of {} it is stale, as a lamp that may light them has changed, or something on the way to it, or what their\n"
+             "        rows meet; of {} it is missing, as their rows are\n",
+             s.cached.lamps.clean, s.cached.lamps.stale, s.cached.lamps.missing);
   fmt::print("  patches, pyramid, strips, geometry: always made anew\n");
   if (s.changed.empty()) return;
   fmt::print("  changed since the last bake: {} cubes, around", s.changed.size());

@@ -49,16 +49,19 @@ Cast castBoth(const Scene& scene, float cell_m, BakeCache& cache, const std::str
   EXPECT_TRUE(set) << set.error().line();
   WorkCount done;
   Cast cast;
-  RayUnits units(scene, *set, budget, 1, cache);
+  RayUnits units(scene, *set, *caster, budget, 1, cache);
   std::vector<Vec3> changed;
   const CachedRays before = units.status(done, changed);
-  cast.rows = gathered([&](const TakeRows& take) { units.cast(*caster, done, cast.counts, take); });
-  EXPECT_EQ(before.clean, cast.counts.clean);
-  EXPECT_EQ(before.stale, cast.counts.stale);
+  cast.rows = gathered([&](const TakeRows& take) { units.cast(done, cast.counts, take); });
+  EXPECT_EQ(before.rows.clean, cast.counts.rows.clean);
+  EXPECT_EQ(before.rows.stale, cast.counts.rows.stale);
+  EXPECT_EQ(before.lamps.clean, cast.counts.lamps.clean);
+  EXPECT_EQ(before.lamps.stale, cast.counts.lamps.stale);
   EXPECT_TRUE(equal(cast.rows, castRows(scene, *set, *caster, budget, 1, done))) << what;
   CachedRays again;
-  EXPECT_TRUE(equal(cast.rows, gathered([&](const TakeRows& take) { units.cast(*caster, done, again, take); }))) << what << ", again";
-  EXPECT_EQ(again.clean, again.patches()) << what;
+  EXPECT_TRUE(equal(cast.rows, gathered([&](const TakeRows& take) { units.cast(done, again, take); }))) << what << ", again";
+  EXPECT_EQ(again.rows.clean, again.patches()) << what;
+  EXPECT_EQ(again.lamps.clean, again.patches()) << what;
   return cast;
 }
 
@@ -76,13 +79,18 @@ void edit(Scene& scene, const Box& all, std::mt19937& random, std::string& what)
   };
   const auto some = [&] { return static_cast<uint32_t>(random() % scene.triangles.size()); };
   const Vec3 at = place(0);
-  switch (random() % 7) {
+  const auto someMaterial = [&] { return static_cast<uint32_t>(random() % scene.materials.size()); };
+  switch (random() % 11) {
     case 0: what = "a sheet"; test::addTriangle(scene, at, at + Vec3{3, 0, 1}, at + Vec3{0, 2, 2}, 0); break;
     case 1: what = "a hair's breadth of a sheet"; test::addTriangle(scene, at, at + Vec3{0.01f, 0, 0}, at + Vec3{0, 0, 6}, 0); break;
     case 2: what = "something outside of the world"; { const Vec3 far = place(0.5f); test::addTriangle(scene, far, far + Vec3{9, 0, 0}, far + Vec3{0, 9, 9}, 0); } break;
     case 3: what = "a triangle less"; scene.triangles.erase(scene.triangles.begin() + some()); break;
     case 4: what = "a corner moved"; scene.positions[scene.triangles[some()].v[random() % 3]].y += 0.4f; break;
     case 5: what = "another order"; std::swap(scene.triangles[some()], scene.triangles[some()]); break;
+    case 6: what = "another emission"; scene.materials[someMaterial()].emission = place(0); break;
+    case 7: what = "no emission"; for (Material& m : scene.materials) if (random() % 2) m.emission = {}; break;
+    case 8: what = "a lamp"; scene.materials[someMaterial()].emission = {1, 2, 3}; [[fallthrough]];
+    case 9: what += "a block"; test::addBlock(scene, at, at + Vec3{.4f, .4f, .4f}, someMaterial()); break;
     default:
       what = "a veil";
       scene.materials.push_back(scene.materials[0]);
@@ -98,21 +106,22 @@ TEST(RayUnits, AfterAnyEditGiveWhatAllRaysWouldFind) {
   Box all;
   for (const Vec3 p : scene.positions) all.add(p);
   const auto cache = cacheIn(folder.file("cache"));
-  EXPECT_EQ(castBoth(scene, 1, *cache, "the first bake").counts.clean, 0u);
+  EXPECT_EQ(castBoth(scene, 1, *cache, "the first bake").counts.rows.clean, 0u);
   std::mt19937 random(3);
-  uint64_t clean = 0, stale = 0, patches = 0;
-  for (int round = 0; round < 16; ++round) {
-    const RayBudget budget = round < 12 ? RayBudget(kFewRays) : kAsked;
+  uint64_t clean = 0, stale = 0, lit = 0, patches = 0;
+  for (int round = 0; round < 24; ++round) {
+    const RayBudget budget = round < 20 ? RayBudget(kFewRays) : kAsked;
     std::string what;
     Scene edited = scene;
     edit(edited, all, random, what);
     const CachedRays counts = castBoth(edited, 1, *cache, what, budget).counts;
-    clean += counts.clean;
-    stale += counts.stale;
+    clean += counts.rows.clean;
+    stale += counts.rows.stale;
+    lit += counts.lamps.clean;
     patches += counts.patches();
     if (round % 3 == 0) scene = std::move(edited);  // or back again
   }
-  std::cout << clean << " patches of " << patches << " were clean, " << stale << " stale\n";
+  std::cout << clean << " patches of " << patches << " were clean, " << stale << " stale; the light of lamps of " << lit << " was\n";
   EXPECT_GT(clean, patches / 8);
   EXPECT_GT(stale, 0u);
 }
@@ -139,7 +148,7 @@ TEST(RayUnits, AfterAChangeAtTheFarEndOfALargePatchGiveWhatAllRaysWouldFind) {
   EXPECT_GT(std::count_if(before.rows.estimate.begin(), before.rows.estimate.end(), [](uint32_t e) { return e > 0; }), 0);
   const Cast after = castBoth(scene(false), 1, *cache, "less ground");
   EXPECT_EQ(before.rows.rays.size(), after.rows.rays.size());
-  EXPECT_EQ(after.counts.missing, 1u);  // the ground itself
+  EXPECT_EQ(after.counts.rows.missing, 1u);  // the ground itself
 }
 
 TEST(RayUnits, CastAgainOnlyTheGroupsThatAnEditMeets) {
@@ -148,14 +157,14 @@ TEST(RayUnits, CastAgainOnlyTheGroupsThatAnEditMeets) {
   const uint32_t ground = test::addMaterial(scene, {.5f, .5f, .5f});
   test::addQuad(scene, {0, 0, 0}, {0, 0, 16}, {16, 0, 16}, {16, 0, 0}, ground);  // one unit: 256 patches, 16 groups
   const auto cache = cacheIn(folder.file("cache"));
-  EXPECT_EQ(castBoth(scene, 1, *cache, "open ground", 32).counts.missing, 256u);
+  EXPECT_EQ(castBoth(scene, 1, *cache, "open ground", 32).counts.rows.missing, 256u);
   test::addTriangle(scene, {-20, 3, -20}, {-19, 3, -20}, {-20, 3, -19}, ground);
   const CachedRays counts = castBoth(scene, 1, *cache, "a kite", 32).counts;
-  std::cout << counts.stale << " of 256 patches were stale\n";
-  EXPECT_EQ(counts.stale % 16, 0u);
-  EXPECT_GT(counts.stale, 0u);
-  EXPECT_LT(counts.stale, 200u);
-  EXPECT_GE(counts.clean, 56u);
+  std::cout << counts.rows.stale << " of 256 patches were stale\n";
+  EXPECT_EQ(counts.rows.stale % 16, 0u);
+  EXPECT_GT(counts.rows.stale, 0u);
+  EXPECT_LT(counts.rows.stale, 200u);
+  EXPECT_GE(counts.rows.clean, 56u);
 }
 
 TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
@@ -167,8 +176,8 @@ TEST(RayUnits, NoticeWhatComesToStandWhereTheirRaysLeftTheWorld) {
   castBoth(scene, 1, *cache, "open ground");
   test::addQuad(scene, {0, 300, 0}, {30, 300, 0}, {30, 300, 30}, {0, 300, 30}, ground);
   const CachedRays counts = castBoth(scene, 1, *cache, "a roof far above").counts;
-  EXPECT_EQ(counts.clean, 0u);
-  EXPECT_GT(counts.stale, 0u);
+  EXPECT_EQ(counts.rows.clean, 0u);
+  EXPECT_GT(counts.rows.stale, 0u);
 }
 
 TEST(RayUnits, KeepRaysThatLeftAWorldBySidesWhereItHasNotGrown) {
@@ -182,13 +191,13 @@ TEST(RayUnits, KeepRaysThatLeftAWorldBySidesWhereItHasNotGrown) {
     return castBoth(scene, 0.25f, *cache, "a block far off").counts;
   };
   const CachedRays first = castBoth(shed, 0.25f, *cache, "a shed").counts;
-  EXPECT_EQ(first.missing, 80u);
-  EXPECT_EQ(withBlockAt({0, 0, -40}).clean, 80u);  // behind it
-  EXPECT_GE(withBlockAt({40, 0, 0}).clean, 20u);   // beside it: those deep inside
-  EXPECT_GE(withBlockAt({0, 0, 40}).stale, 60u);
+  EXPECT_EQ(first.rows.missing, 80u);
+  EXPECT_EQ(withBlockAt({0, 0, -40}).rows.clean, 80u);  // behind it
+  EXPECT_GE(withBlockAt({40, 0, 0}).rows.clean, 20u);   // beside it: those deep inside
+  EXPECT_GE(withBlockAt({0, 0, 40}).rows.stale, 60u);
 }
 
-TEST(RayUnits, NoticeWhatLampsAndVeilsAreMadeOf) {
+TEST(RayUnits, NoticeWhatVeilsAreMadeOf) {
   const formats::TemporaryFolder folder;
   Scene scene = test::closedBox({.5f, .5f, .5f}, {});
   const uint32_t lamp = test::addMaterial(scene, {.5f, .5f, .5f}, {1, 1, 1}), veil = test::addMaterial(scene, {.5f, .5f, .5f});
@@ -200,17 +209,80 @@ TEST(RayUnits, NoticeWhatLampsAndVeilsAreMadeOf) {
   const auto expectClean = [&](const char* what, bool clean) {
     const CachedRays counts = castBoth(scene, 0.1f, *cache, what).counts;
     EXPECT_GT(counts.patches(), 1u);
-    EXPECT_EQ(counts.clean, clean ? counts.patches() : 0) << what;
+    EXPECT_EQ(counts.rows.clean, clean ? counts.patches() : 0) << what;
+    EXPECT_EQ(counts.lamps.clean, clean ? counts.patches() : 0) << what;
   };
   expectClean("the first", false);
   scene.materials[0].base_color = {.9f, .2f, .2f};
   expectClean("another colour", true);
-  scene.materials[lamp].emission = {2, 1, 1};
-  expectClean("another lamp", false);
   scene.materials[veil].alpha = 0.75f;
   expectClean("another veil", false);
   scene.backs = Backs::kPass;
   expectClean("other backs", false);
+}
+
+// Two rooms of 4 m, 40 m apart: what changes in the first one leaves the rows of the second as they are.
+struct Rooms {
+  Vec3 lamp_at{1, 1.5f, 1};
+  Vec3 radiance{1, 1, 1};
+  bool second_lamp = true;  // in the first room
+  Vec3 table_radiance{};
+};
+Scene scene(const Rooms& rooms) {
+  Scene s;
+  const uint32_t walls = test::addMaterial(s, {.5f, .5f, .5f}), table = test::addMaterial(s, {.5f, .5f, .5f}, rooms.table_radiance),
+                 far_lamp = test::addMaterial(s, {.5f, .5f, .5f}, {1, 1, 1}), near_lamp = test::addMaterial(s, {.5f, .5f, .5f}, rooms.radiance);
+  for (const float x : {0.0f, 40.0f}) {
+    test::addRoom(s, {x, 0, 0}, {x + 4, 3, 4}, walls, walls);
+    test::addBlock(s, {x + 2.5f, 0, 2.5f}, {x + 3.5f, 1, 3.5f}, x > 0 ? walls : table, false);
+  }
+  const auto addLamp = [&](Vec3 at, uint32_t material) { test::addQuad(s, at, at + Vec3{.5f, 0, 0}, at + Vec3{.5f, 0, .5f}, at + Vec3{0, 0, .5f}, material); };  // shines down
+  addLamp(rooms.lamp_at, near_lamp);
+  if (rooms.second_lamp) addLamp({3, 1.5f, 1}, near_lamp);
+  addLamp({41, 1.5f, 1}, far_lamp);
+  return s;
+}
+
+TEST(RayUnits, KeepRowsThatNoChangeOfALampMeets) {
+  const formats::TemporaryFolder folder;
+  const auto cache = cacheIn(folder.file("cache"));
+  const uint64_t patches = castBoth(scene(Rooms{}), 0.5f, *cache, "as it was").counts.patches();
+  // From one to the next. rows: those of the first room are clean, too. up: what has changed shines upwards as well.
+  const auto expect = [&](const char* what, const Rooms& rooms, bool clean, bool up = false) {
+    SCOPED_TRACE(what);
+    const CachedRays counts = castBoth(scene(rooms), 0.5f, *cache, what).counts;
+    std::cout << what << ": of " << counts.patches() << " patches the rows of " << counts.rows.clean << " were clean, the light of lamps of " << counts.lamps.clean << "\n";
+    if (clean) {
+      EXPECT_EQ(counts.rows.clean, patches);
+    } else {
+      EXPECT_LT(counts.rows.clean, counts.patches());
+      EXPECT_GE(2 * counts.rows.clean, patches - 8);  // lamps have patches, too
+    }
+    EXPECT_LT(counts.lamps.clean, counts.patches());
+    EXPECT_GE(counts.lamps.clean, up ? 0 : patches / 8);  // of what lies above the lamps
+  };
+  expect("another colour", {.radiance = {1, 2, 1}}, true);
+  expect("switched off", {.radiance = {}}, true);
+  expect("switched on", {}, true);
+  expect("moved", {.lamp_at = {1.5f, 1.5f, 1}}, false);
+  expect("moved back", {}, false);
+  expect("one removed", {.second_lamp = false}, false);
+  expect("one added", {}, false);
+  expect("a table that begins to emit", {.table_radiance = {1, 1, 1}}, false, true);
+  expect("and ceases to", {}, true, true);
+}
+
+TEST(RayUnits, NoticeWhatComesToStandBetweenAPatchAndALamp) {
+  const formats::TemporaryFolder folder;
+  const auto cache = cacheIn(folder.file("cache"));
+  Scene s;
+  const uint32_t ground = test::addMaterial(s, {.5f, .5f, .5f}), lamp = test::addMaterial(s, {.5f, .5f, .5f}, {100, 100, 100});
+  test::addQuad(s, {0, 0, 0}, {0, 0, 4}, {4, 0, 4}, {4, 0, 0}, ground);
+  test::addBlock(s, {80, 60, 80}, {81, 61, 81}, lamp);  // few rays of rows go there
+  castBoth(s, 1, *cache, "a lamp far off", 1);
+  test::addBlock(s, {39, 29, 39}, {42, 33, 42}, ground);
+  const CachedRays counts = castBoth(s, 1, *cache, "half way there", 1).counts;
+  EXPECT_GT(counts.rows.clean, counts.lamps.clean);
 }
 
 TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
@@ -236,10 +308,10 @@ TEST(RayUnits, AreCastAgainWhereTheCacheIsDamaged) {
   }
   EXPECT_GT(damaged, 2u);
   const CachedRays second = castBoth(scene, 0.1f, *cache, "after damage").counts;
-  EXPECT_EQ(second.stale, 0u);
-  EXPECT_EQ(second.missing, castBoth(scene, 0.1f, *cacheIn(folder.file("removed")), "after removal").counts.missing);
-  EXPECT_GT(second.clean, 0u);
-  EXPECT_EQ(second.missing + second.clean, first.patches());
+  EXPECT_EQ(second.rows.stale, 0u);
+  EXPECT_EQ(second.rows.missing, castBoth(scene, 0.1f, *cacheIn(folder.file("removed")), "after removal").counts.rows.missing);
+  EXPECT_GT(second.rows.clean, 0u);
+  EXPECT_EQ(second.rows.missing + second.rows.clean, first.patches());
 }
 
 // Ranks of one process: what others ask, a thread of the test answers by what rank 0 was told to serve.
@@ -311,15 +383,15 @@ TEST(RayUnits, AreTheSameWhoeverCastsThemAndWhoeverIsGone) {
         Mortal self(ranks, gone && r < 3 ? r : kNoUnit);
         WorkCount count;
         try {
-          RayUnits(scene, *set, kFewRays, 1, *other).help(*caster, count, self);
+          RayUnits(scene, *set, *caster, kFewRays, 1, *other).help(count, self);
         } catch (const Stopped&) {
         }
       });
-    RayUnits units(scene, *set, kFewRays, 1, *cache);
+    RayUnits units(scene, *set, *caster, kFewRays, 1, *cache);
     CachedRays counts;
-    EXPECT_TRUE(equal(alone, gathered([&](const TakeRows& take) { units.cast(*caster, done, counts, take, &ranks); })));
+    EXPECT_TRUE(equal(alone, gathered([&](const TakeRows& take) { units.cast(done, counts, take, &ranks); })));
     for (std::thread& t : others) t.join();
-    EXPECT_EQ(counts.clean, 0u);
+    EXPECT_EQ(counts.rows.clean, 0u);
     if (elsewhere) {
       EXPECT_EQ(counts.by_others, 0u);
     } else {
