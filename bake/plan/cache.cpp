@@ -133,8 +133,12 @@ void BakeCache::store(std::string_view kind, const Digest& key, std::span<const 
     return {};
   };
   const uint64_t before = sizeOf(folder_ + name), size = sizeof head + bytes.size();
-  if (bytes_ + size > limit_bytes_ + before) trim(size);
-  if (bytes_ + size > limit_bytes_ + before) {
+  const auto isFull = [&] {
+    const uint64_t with = bytes_ + size;
+    return with > limit_bytes_ && with - limit_bytes_ > before;
+  };
+  if (isFull()) trim(size);
+  if (isFull()) {
     const std::string limit = std::to_string(limit_bytes_ >> 20) + "M";
     if (!broken_.exchange(true)) warn({ErrorCode::kIo, folder_, "", "the cache is full", "give --cache-limit more than " + limit + ", or --clean"});
     return;

@@ -42,6 +42,15 @@ TEST(BakeCache, HoldsWhatWasStored) {
   EXPECT_FALSE(cache->load("rays", {1, 3}));
 }
 
+TEST(BakeCache, WithoutALimitHoldsWhatWasStoredLast) {
+  const formats::TemporaryFolder folder;
+  const auto cache = open(folder.file("c"), ~uint64_t{0});
+  cache->store("rays", {1, 2}, some(10, 7));
+  cache->store("rays", {1, 2}, some(5, 8));
+  EXPECT_EQ(cache->load("rays", {1, 2}), some(5, 8));
+  EXPECT_TRUE(cache->warnings().empty());
+}
+
 TEST(BakeCache, IsLookedIntoWithoutATrace) {
   const formats::TemporaryFolder folder;
   auto absent = BakeCache::peek(folder.file("c"));
