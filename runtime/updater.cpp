@@ -95,7 +95,7 @@ Result<void> Updater::setAmbient(Vec3 radiosity) {
 
 void Updater::setDirectLight(DirectLight direct) {
   direct_light_ = std::move(direct);
-  light_changed_ = true;
+  light_changed_ = has_direct_ = true;
 }
 
 void Updater::lightChanged() { light_changed_ = true; }
@@ -106,7 +106,7 @@ Result<void> Updater::setDirectIrradiance(uint32_t first_slot, std::span<const V
   for (uint32_t i = 0; i < irradiance.size(); ++i)
     if (const char* why = whyNoLight(irradiance[i])) return noLight(nameOf(first_slot + i), why);
   for (size_t i = 0; i < irradiance.size(); ++i) direct_irradiance_[first_slot + i] = max(irradiance[i], {});
-  sky_changed_ = true;  // all sources are made anew, from what is here
+  sky_changed_ = has_direct_ = true;  // all sources are made anew, from what is here
   return {};
 }
 
@@ -183,6 +183,7 @@ void Updater::goOnFrom(Updater& before) {
   sky_ = before.sky_;
   ambient_ = before.ambient_;
   direct_light_ = std::move(before.direct_light_);
+  has_direct_ = before.has_direct_;
   for (uint32_t group = 0; group < lamp_before_.size(); ++group)
     if (lamp_before_[group] != formats::kNoLampGroup) lamps_.set(group, before.lamps_.scale(lamp_before_[group]));
   sky_changed_ = light_changed_ = lamps_changed_ = true;
@@ -320,7 +321,7 @@ void Updater::lightEntered(std::span<const uint32_t> entered) {
     if (direct_light_) {
       light(tile, true, false);
     } else {
-      std::fill_n(direct_irradiance_.begin() + range.first_slot, range.nodes, Vec3{});
+      if (has_direct_) std::fill_n(direct_irradiance_.begin() + range.first_slot, range.nodes, Vec3{});
       copy(made->source, source_);
     }
     at += range.nodes;

@@ -130,6 +130,7 @@ class Updater {
   stream::Observers observers_;
   std::vector<Vec4> source_, emission_;   // per slot
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
+  bool has_direct_ = false;               // it may be other than 0
   std::vector<Vec3> lamp_irradiance_;     // likewise
   std::vector<Vec4> radiosity_, before_;  // per slot; of takeUpChange(), scratch of converge()
   std::vector<SlotRange> tiles_before_;   // of the matrix that was taken up last

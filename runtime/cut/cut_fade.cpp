@@ -15,8 +15,6 @@ constexpr float kMaxFrames = 300;   // whatever there is to see
 constexpr uint32_t kMeanOf = 8;     // a node of so many tells the mean
 constexpr float kFar = 2;           // times as far away as when it began, a tile goes faster, by the square of the distance
 
-formats::TileId parentOf(const stream::ResidentStrip& strip) { return {strip.id.level + 1, strip.tile.info().parent_tile}; }
-
 // The largest difference between a node and its parent, lit without a bounce.
 float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<const Vec4> source) {
   float hidden = 0;
@@ -35,8 +33,7 @@ float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<cons
 CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
-  for (auto* known : {&active_, &active_before_}) known->reserve(kMaxTiles);
-  for (auto* ids : {&cut_ids_, &next_cut_ids_}) ids->reserve(kMaxTiles);
+  for (auto* known : {&active_, &active_before_, &known_, &next_known_}) known->reserve(kMaxTiles);
   fading_.reserve(kMaxTiles);
   for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
@@ -57,31 +54,30 @@ std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
   // What stays is moved, so that no count of a strip changes.
   fading_.clear();
   size_t old = 0, a = 0;
-  const auto add = [&](StripPtr strip, formats::TileId id) {
+  const auto add = [&](StripPtr strip, const Known& known) {
     next_cut_.push_back(std::move(strip));
-    next_cut_ids_.push_back(id);
+    next_known_.push_back(known);
   };
   const auto addActive = [&](auto until) {
     for (; a < active.size() && until(active_[a].id); ++a) {
-      const formats::TileId id = active_[a].id;
-      while (old < cut_.size() && cut_ids_[old] < id) ++old;
-      const bool stays = old < cut_.size() && cut_[old] == active[a];
-      add(stays ? std::move(cut_[old++]) : active[a], id);
+      while (old < cut_.size() && known_[old].id < active_[a].id) ++old;
+      const bool stays = old < cut_.size() && known_[old].strip == active_[a].strip;
+      add(stays ? std::move(cut_[old++]) : active[a], active_[a]);
     }
   };
   for (const Leaving& tile : leaving_) {
     if (!tile.kept) continue;
-    addActive([id = cut_ids_[tile.at]](formats::TileId other) { return other < id; });
+    addActive([id = known_[tile.at].id](formats::TileId other) { return other < id; });
     old = tile.at;
-    fading_.push_back({cut_ids_[old], tile.weight});
-    add(std::move(cut_[old]), cut_ids_[old]);
+    fading_.push_back({known_[old].id, tile.weight});
+    add(std::move(cut_[old]), known_[old]);
     ++old;
   }
   addActive([](formats::TileId) { return true; });
   cut_.swap(next_cut_);
-  cut_ids_.swap(next_cut_ids_);
+  known_.swap(next_known_);
   next_cut_.clear();
-  next_cut_ids_.clear();
+  next_known_.clear();
   return cut_;
 }
 
@@ -93,7 +89,7 @@ void CutFade::followActive(std::span<const StripPtr> active) {
     if (old == active_before_.end() || old->strip != strip.get()) {  // one that comes, or after some that went
       while (old != active_before_.end() && old->id < strip->id) ++old;
       if (old == active_before_.end() || old->strip != strip.get()) {
-        active_.push_back({strip.get(), strip->id, static_cast<uint32_t>(strip->nodes.size())});
+        active_.push_back({strip.get(), strip->id, static_cast<uint32_t>(strip->nodes.size()), strip->tile.info().parent_tile});
         continue;
       }
     }
@@ -107,7 +103,7 @@ void CutFade::listLeaving() {
   size_t a = 0;
   auto of = tiles_.begin();
   for (uint32_t k = 0; k < cut_.size(); ++k) {
-    const formats::TileId id = cut_ids_[k];
+    const formats::TileId id = known_[k].id;
     while (a < active_.size() && active_[a].id < id) ++a;
     while (of != tiles_.end() && of->id < id) ++of;
     if (of == tiles_.end() || of->id != id) continue;  // one that leaves before it was ever there just goes
@@ -119,9 +115,9 @@ void CutFade::listLeaving() {
   }
   for (const Leaving& tile : leaving_) {  // children first: the finest levels come first
     if (!tile.kept) continue;
-    const formats::TileId parent = parentOf(*cut_[tile.at]);
-    const auto above = std::ranges::lower_bound(leaving_, parent, {}, [&](const Leaving& l) { return cut_ids_[l.at]; });
-    if (above == leaving_.end() || cut_ids_[above->at] != parent) continue;
+    const formats::TileId parent = known_[tile.at].parentId();
+    const auto above = std::ranges::lower_bound(leaving_, parent, {}, [&](const Leaving& l) { return known_[l.at].id; });
+    if (above == leaving_.end() || known_[above->at].id != parent) continue;
     above->kept = true;
     above->weight = std::max(above->weight, tile.weight);
   }
@@ -138,7 +134,7 @@ void CutFade::keepTheMost() {
   for (uint32_t k = 0; k < leaving_.size(); ++k)
     if (leaving_[k].kept) {
       order_.push_back(k);
-      nodes += cut_[leaving_[k].at]->nodes.size();
+      nodes += known_[leaving_[k].at].nodes;
     }
   if (nodes <= room) return;
   std::ranges::sort(order_, [&](uint32_t x, uint32_t y) {  // of two that show as much, the coarser first
@@ -146,7 +142,7 @@ void CutFade::keepTheMost() {
   });
   nodes = 0;
   for (const uint32_t k : order_) {
-    nodes += cut_[leaving_[k].at]->nodes.size();
+    nodes += known_[leaving_[k].at].nodes;
     leaving_[k].kept = nodes <= room;
   }
 }
@@ -163,7 +159,7 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
   }
   for (const uint32_t t : entered) {  // parents first: light that is blended itself goes on as it is shown
     if (matrix.parent_slot[matrix.tiles[t].first_slot] == kNoSlot) continue;
-    const Tile* const parent = find(parentOf(*matrix.packed[t].strip));
+    const Tile* const parent = find({tiles_[t].id.level + 1, matrix.packed[t].strip->tile.info().parent_tile});
     if (parent && parent->weight < 1) tiles_[t].weight = 0;
   }
 }
@@ -197,8 +193,10 @@ void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, c
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
-    const float away_m = observers.distance(matrix.packed[t].strip->tile.info().bounds);
-    if (tile.step == 0) {
+    const bool begins = tile.step == 0;
+    if (begins) tile.bounds = matrix.packed[t].strip->tile.info().bounds;
+    const float away_m = observers.distance(tile.bounds);
+    if (begins) {
       if (mean_now < 0) mean_now = mean(matrix, source);
       const float frames = mean_now > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean_now) : 0;
       tile.step = 1 / std::max(static_cast<float>(settings_.frames), std::min(frames, kMaxFrames));
@@ -215,7 +213,7 @@ void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, c
 void CutFade::finish() {
   active_.clear();
   cut_.clear();
-  cut_ids_.clear();
+  known_.clear();
   fading_.clear();
   for (Tile& tile : tiles_) tile = {tile.id};
 }

@@ -45,6 +45,7 @@ class CutFade {
     formats::TileId id;
     float weight = 1, step = 0;  // step: of a frame; 0 where it has not begun
     float left_at_m = 0;         // how far away the nearest observer was then
+    Box bounds{};                // of it, since then
     static constexpr float kUnknown = -1;
     float light = kUnknown;      // the sum of some of its nodes' sources, W/m2
     bool leaving = false;
@@ -64,15 +65,16 @@ class CutFade {
   FadeSettings settings_;
   std::vector<Tile> tiles_, tiles_before_;  // of the matrix
   bool one_has_gone_ = false;               // of tiles_, since the last cut()
-  // What a frame asks of strips, most of which it has no other reason to look at.
+  // What a frame asks of strips, most of which it has no other reason to look at: they lie far apart.
   struct Known {
     const stream::ResidentStrip* strip;
     formats::TileId id;
-    uint32_t nodes = 0;
+    uint32_t nodes = 0, parent = 0;  // parent: tile of the level above
+    formats::TileId parentId() const { return {id.level + 1, parent}; }
   };
   std::vector<stream::StripPtr> cut_, next_cut_;
-  std::vector<Known> active_, active_before_;             // all of active_ in cut_, which keeps them
-  std::vector<formats::TileId> cut_ids_, next_cut_ids_;   // of cut_ and next_cut_
+  std::vector<Known> active_, active_before_;    // all of active_ in cut_, which keeps them
+  std::vector<Known> known_, next_known_;        // of cut_ and next_cut_
   std::vector<FadingTile> fading_;
   std::vector<Leaving> leaving_;
   std::vector<uint32_t> order_;  // of leaving_

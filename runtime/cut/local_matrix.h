@@ -19,15 +19,22 @@ namespace ff::runtime {
 struct Vec4 {
   float x = 0, y = 0, z = 0, w = 0;
 };
+// The same to a processor that has registers for it.
+using Float4 = float __attribute__((vector_size(16), aligned(4), may_alias));
+inline Float4& asFloat4(Vec4& v) { return reinterpret_cast<Float4&>(v); }
+inline const Float4& asFloat4(const Vec4& v) { return reinterpret_cast<const Float4&>(v); }
 // Of three channels; w is 0.
 inline Vec4 operator*(const Vec4& a, const Vec4& b) { return {a.x * b.x, a.y * b.y, a.z * b.z, 0}; }
 inline Vec4 operator+(const Vec4& a, const Vec4& b) { return {a.x + b.x, a.y + b.y, a.z + b.z, 0}; }
 
 // What a node reflects, W/m2, of the irradiance of which its parent reflects so much; `otherwise`, by channel, where the parent's albedo is 0.
 inline Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& albedo, const Vec4& otherwise) {
-  const auto channel = [](float b, float from, float to, float other) { return from > 0 ? b / from * to : other; };
-  return {channel(parent.x, parent_albedo.x, albedo.x, otherwise.x), channel(parent.y, parent_albedo.y, albedo.y, otherwise.y),
-          channel(parent.z, parent_albedo.z, albedo.z, otherwise.z), 0};
+  const Float4 from = asFloat4(parent_albedo), one{1, 1, 1, 1};
+  const auto reflects = from > 0;
+  Vec4 here;
+  asFloat4(here) = reflects ? asFloat4(parent) / (reflects ? from : one) * asFloat4(albedo) : asFloat4(otherwise);
+  here.w = 0;
+  return here;
 }
 
 inline constexpr uint32_t kNoSlot = 0xffffffffu;

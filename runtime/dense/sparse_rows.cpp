@@ -11,17 +11,9 @@ constexpr uint32_t kPartLeaves = 256;  // of a part handed to a thread
 
 SparseRows::SparseRows(int threads) : pool_(threads) {
   if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
-  scale_.reserve(kMaxSlots);
 }
 
-void SparseRows::takeUp(const LocalMatrix& matrix) {
-  matrix_ = &matrix;
-  scale_.assign(matrix.slots(), {});
-  for (const uint32_t s : matrix.leaves) {
-    const float scale = matrix.row_scale[s];
-    scale_[s] = {scale, scale, scale, 0};
-  }
-}
+void SparseRows::takeUp(const LocalMatrix& matrix) { matrix_ = &matrix; }
 
 void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> from, std::span<const Vec4> minus,
                         std::span<Vec4> to) {
@@ -29,7 +21,8 @@ void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> 
                       matrix_->row_entries.data(),
                       matrix_->entries.data(),
                       leaves.data(),
-                      scale_.data(),
+                      white_.data(),
+                      matrix_->row_scale.data(),
                       minus.data(),
                       from.data(),
                       to.data()};

@@ -22,39 +22,40 @@ class CpuGather final : public Solver {
  public:
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
-    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) per_slot->reserve(kMaxSlots);
+    for (auto* per_slot : {&from_, &to_, &before_, &source_}) per_slot->reserve(kMaxSlots);
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
     // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
-    for (auto* per_slot : {&from_, &to_, &before_}) {
+    for (auto* per_slot : {&from_, &to_}) {
       if (all)
         per_slot->clear();
       else
         for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
     }
-    for (auto* per_slot : {&from_, &to_, &before_, &source_, &reflectance_}) {
+    before_is_clear_ = false;
+    for (auto* per_slot : {&from_, &to_, &before_, &source_}) {
       if (all) touchMemory(*per_slot, matrix.most_slots);
       per_slot->resize(matrix.slots());
     }
     if (all) stepped_ = false;
     if (all) held_.touch(matrix.most_slots);
     held_.rowsChanged(matrix.slots(), stepped_);
-    if (all) {
-      for (uint32_t s = 0; s < matrix.slots(); ++s) reflectance_[s] = reflectance(s);
-    } else {
+    if (!all)
       for (const uint32_t t : change.entered) {  // parents first
         const SlotRange& range = matrix.tiles[t];
         for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
           const uint32_t parent = matrix.parent_slot[s];
-          from_[s] = parent != kNoSlot ? from_[parent] : Vec4{};
           held_.enter(s);
-          if (held_.due()) inherit(s, parent);
-          reflectance_[s] = reflectance(s);
+          if (parent == kNoSlot)
+            from_[s] = {};
+          else if (held_.due())
+            inherit(s, parent);
+          else
+            from_[s] = from_[parent];
         }
       }
-    }
     pace_.forget();
     return {};
   }
@@ -107,6 +108,7 @@ class CpuGather final : public Solver {
     const double first = lastChange();
     step();
     pace_.learn(first, lastChange());
+    if (!std::exchange(before_is_clear_, true)) std::ranges::fill(before_, Vec4{});
     for (int i = 2; i < k; ++i) {
       const float omega = pace_.omega();
       if (omega != 1) before_.swap(to_);  // `to_` held the values of a step ago
@@ -137,7 +139,6 @@ class CpuGather final : public Solver {
 
   // A node that enters shows the irradiance that its parent had.
   void inherit(uint32_t slot, uint32_t parent) {
-    if (parent == kNoSlot) return;
     for (auto* per_slot : {&from_, &to_}) {
       const Vec4 b = (*per_slot)[parent];
       (*per_slot)[slot] = onAlbedo(b, matrix_->albedo[parent], matrix_->albedo[slot], b);
@@ -165,7 +166,7 @@ class CpuGather final : public Solver {
   }
 
   GatherJob jobOf(const std::vector<Vec4>& source, const std::vector<Vec4>& from, std::vector<Vec4>& to) const {
-    return {matrix_->row_start.data(), matrix_->row_entries.data(), matrix_->entries.data(), matrix_->leaves.data(), reflectance_.data(), source.data(), from.data(), to.data()};
+    return {matrix_->row_start.data(), matrix_->row_entries.data(), matrix_->entries.data(), matrix_->leaves.data(), matrix_->albedo.data(), matrix_->row_scale.data(), source.data(), from.data(), to.data()};
   }
 
   // from_ <- M + albedo F from_; with omega, the step goes on from before_ and omega times as far.
@@ -218,12 +219,6 @@ class CpuGather final : public Solver {
     return std::sqrt(sum);
   }
 
-  Vec4 reflectance(uint32_t slot) const {
-    const Vec4 albedo = matrix_->albedo[slot];
-    const float scale = matrix_->row_scale[slot];
-    return {albedo.x * scale, albedo.y * scale, albedo.z * scale, 0};
-  }
-
   // Level by level from the finest up: a level's children are done.
   void refine() {
     const auto& starts = matrix_->refined_level_start;
@@ -240,8 +235,9 @@ class CpuGather final : public Solver {
   WorkerPool pool_;
   GatherKernel kernel_ = gatherPortable;
   const LocalMatrix* matrix_ = nullptr;
-  std::vector<Vec4> reflectance_, source_, from_, to_;
+  std::vector<Vec4> source_, from_, to_;
   std::vector<Vec4> before_;         // of two steps ago, in approach(); scratch of hold()
+  bool before_is_clear_ = false;     // of what free slots had when they were taken
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
   SemiIteration pace_;

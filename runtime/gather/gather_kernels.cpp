@@ -7,13 +7,6 @@
 #endif
 
 namespace ff::runtime {
-namespace {
-
-using Float4 = float __attribute__((vector_size(16), aligned(4), may_alias));
-
-const Float4& asFloat4(const Vec4& v) { return reinterpret_cast<const Float4&>(v); }
-
-}  // namespace
 
 bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
   bool sound = true;
@@ -31,8 +24,7 @@ bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
       const uint32_t a = job.entries[k];
       even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
     }
-    reinterpret_cast<Float4&>(job.to[slot]) =
-        asFloat4(job.source[slot]) + asFloat4(job.reflectance[slot]) * (even + odd);
+    asFloat4(job.to[slot]) = asFloat4(job.source[slot]) + asFloat4(job.albedo[slot]) * job.row_scale[slot] * (even + odd);
     sound &= isSound(job.to[slot]);
   }
   return sound;
@@ -42,7 +34,7 @@ void refineSlots(const LocalMatrix& matrix, Vec4* values, uint32_t begin, uint32
   for (uint32_t r = begin; r < end; ++r) {
     Float4 mean{};
     matrix.forEachChild(matrix.refined[r], [&](uint32_t c) { mean += asFloat4(values[c]) * matrix.child_weight[c]; });
-    reinterpret_cast<Float4&>(values[matrix.refined[r].slot]) = mean;
+    asFloat4(values[matrix.refined[r].slot]) = mean;
   }
 }
 
@@ -76,7 +68,7 @@ __attribute__((target("avx2,fma"))) bool gatherRowsAvx2(const GatherJob& job, ui
     }
     even = _mm256_add_ps(even, odd);
     const __m128 sum = _mm_add_ps(_mm256_castps256_ps128(even), _mm256_extractf128_ps(even, 1));
-    const __m128 reflected = _mm_mul_ps(sum, _mm_loadu_ps(&job.reflectance[slot].x));
+    const __m128 reflected = _mm_mul_ps(sum, _mm_mul_ps(_mm_loadu_ps(&job.albedo[slot].x), _mm_set1_ps(job.row_scale[slot])));
     const __m128 light = _mm_add_ps(_mm_loadu_ps(&job.source[slot].x), reflected);
     sound = _mm_and_ps(sound, _mm_cmple_ps(_mm_andnot_ps(sign, light), most));  // false for NaN
     _mm_storeu_ps(&job.to[slot].x, light);

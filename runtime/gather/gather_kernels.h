@@ -14,13 +14,14 @@ struct GatherJob {
   const uint32_t* row_entries = nullptr;  // per slot
   const uint32_t* entries = nullptr;
   const uint32_t* leaves = nullptr;   // slots to compute
-  const Vec4* reflectance = nullptr;  // per slot: albedo * row_scale
+  const Vec4* albedo = nullptr;       // per slot
+  const float* row_scale = nullptr;   // per slot
   const Vec4* source = nullptr;       // per slot
   const Vec4* from = nullptr;         // per slot; w is 0
   Vec4* to = nullptr;                 // per slot; must not overlap `from`
 };
 
-// to[s] = source[s] + reflectance[s] * sum of count * from[column], for s in leaves[begin..end). Whether all of them are
+// to[s] = source[s] + albedo[s] * row_scale[s] * sum of count * from[column], for s in leaves[begin..end). Whether all of them are
 // sound (sound_light.h): asked of each in its register, since a loop of its own takes a fifth of the time again.
 using GatherKernel = bool (*)(const GatherJob& job, uint32_t begin, uint32_t end);
 

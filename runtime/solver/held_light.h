@@ -41,7 +41,7 @@ class HeldLight {
   bool goesBefore() { return std::exchange(has_sources_, true) && due_; }
   // Whether the solver has to take() of all leaves now, and say so.
   bool due() const { return due_; }
-  void take(uint32_t slot, const Vec4& light) { held_[slot].take(light, ease_frames_); }
+  void take(uint32_t slot, const Vec4& light) { held_[slot].take({light.x, light.y, light.z}, ease_frames_); }
   void taken() {
     due_ = false;
     holds_ = true;
@@ -53,7 +53,8 @@ class HeldLight {
     bool left = false;
     for (const uint32_t s : leaves) {
       left |= held_[s].release();
-      lit_[s] = source[s] + held_[s].light;
+      const Vec3& light = held_[s].light;
+      lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
     }
     return left;
   }
@@ -66,21 +67,21 @@ class HeldLight {
 
  private:
   struct Slot {
-    Vec4 light;  // W/m2
+    Vec3 light;  // W/m2
     uint32_t frames = 0;
 
     // It is so much now. What has grown takes its full time again; the rest goes on.
-    void take(const Vec4& now, uint32_t most_frames) {
+    void take(Vec3 now, uint32_t most_frames) {
       if (!(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
-      light = isSound(now) ? now : Vec4{};
+      light = isSound(now.x) & isSound(now.y) & isSound(now.z) ? now : Vec3{};
     }
     bool release() {
       const float stays = frames > 1 ? static_cast<float>(frames - 1) / static_cast<float>(frames) : 0;
-      light = light * Vec4{stays, stays, stays, 0};
+      light *= stays;
       if (frames > 0) --frames;
       return frames > 0;
     }
-    static float size(const Vec4& v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
+    static float size(Vec3 v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
   };
   std::vector<Slot> held_;
   std::vector<Vec4> lit_;

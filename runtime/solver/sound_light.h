@@ -30,7 +30,7 @@ inline const char* whyNoLight(Vec3 v) {
 
 // Whether a solver may hold it; false for NaN.
 inline bool isSound(float x) { return std::abs(x) <= shaders::kMaxRadiosity; }
-inline bool isSound(const Vec4& v) { return isSound(v.x) && isSound(v.y) && isSound(v.z); }
+inline bool isSound(const Vec4& v) { return isSound(v.x) & isSound(v.y) & isSound(v.z); }
 
 // Copies light, zero where it is not sound and in w; returns how many values were not. The spans may be the same.
 inline uint32_t copySound(std::span<const Vec4> from, std::span<Vec4> to) {

@@ -150,6 +150,7 @@ TEST(CpuGather, VectorAndPortableKernelsAgree) {
                 matrix->entries.data(),
                 matrix->leaves.data(),
                 matrix->albedo.data(),
+                matrix->row_scale.data(),
                 source.data(),
                 from.data(),
                 a.data()};
