@@ -50,7 +50,7 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
                  stream::Now now)
-    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), cut_(world, far_light, background, &entering_, now_), fade_(fade), budget_(world, max_applied_tiles) {
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, now_) {
   const uint32_t most = mostSlots(world);
   const auto take = [most](auto& per_slot) {
     per_slot.reserve(kMaxSlots);
@@ -131,7 +131,7 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   const float until_active = kBuilds * cut_.latencySeconds() + (kTurns + kSlack) * frame_seconds_;
   streamer_.setLead({until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
   streamer_.update(observers);
-  if (observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers))) fade_.finish();
+  jumped_ |= observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers));
   const double stream_ms = msSince(start);
   const auto matrix_start = Clock::now();
   if (lamps_changed_) entering_.set(sky_, lamps_);
@@ -239,8 +239,12 @@ void Updater::takeLight(Updater& before) {
 // Whether the matrix has changed.
 Result<bool> Updater::followCut() {
   const bool whole = std::exchange(await_cut_, false) || !started_;
+  if (whole || missed_)
+    cut_.await();
+  else if (cut_.reads())
+    return false;  // it has had no core since the last frame
   bool changed = false;
-  if (whole) fade_.finish();
+  if (whole || std::exchange(jumped_, false)) fade_.finish();
   const std::span<const stream::StripPtr> all = fade_.cut(streamer_.active());
   const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {

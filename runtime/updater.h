@@ -123,9 +123,9 @@ class Updater {
   Lamps lamps_;
   DirectLight direct_light_;
   EnteringLight entering_;
-  CutBuilder cut_;
   CutFade fade_;
   CutBudget budget_;
+  CutBuilder cut_;  // reads lists of both
   Vec3 ambient_;
   stream::Observers observers_;
   std::vector<Vec4> source_, emission_;   // per slot
@@ -139,7 +139,7 @@ class Updater {
   bool emission_entered_ = false;
   std::chrono::steady_clock::time_point frame_began_;
   float frame_seconds_ = 0;
-  bool await_cut_ = false;
+  bool await_cut_ = false, jumped_ = false;  // for the next followCut()
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   // Of prepare().
   struct Named {

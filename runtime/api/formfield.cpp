@@ -174,7 +174,6 @@ Result<void> FormfieldWorld_T::open() {
   }
   if (!made) return made.error();
   solver = std::move(*made);
-  updater().setDirectLight([this](formats::TileId id, std::span<Vec3> out) { askDirectLight(id, out); });
   tiles.reserve(kMaxSlots);
   probe_tiles.reserve(kMaxSlots);
   radiosity.reserve(kMaxSlots);
@@ -254,7 +253,6 @@ ProbeStats FormfieldWorld_T::probeStats() const {
 }
 
 void FormfieldWorld_T::askDirectLight(formats::TileId id, std::span<Vec3> out) {
-  if (!direct_light) return;
   const auto& active = updater().matrix().tiles;
   const auto at = std::lower_bound(active.begin(), active.end(), id,
                                    [](const SlotRange& range, formats::TileId of) { return range.id < of; });
@@ -476,7 +474,7 @@ FormfieldResult formfieldSetDirectLight(FormfieldWorld world, FormfieldDirectLig
   return inWorld(world, [&](FormfieldWorld_T& w) -> Result<void> {
     w.direct_light = direct_light;
     w.direct_light_user = user;
-    w.updater().lightChanged();
+    w.updater().setDirectLight(direct_light ? [&w](formats::TileId id, std::span<Vec3> out) { w.askDirectLight(id, out); } : DirectLight());
     return {};
   });
 }

@@ -35,12 +35,15 @@ CutBuilder::~CutBuilder() {
 
 void CutBuilder::work() {
   for (;;) {
-    for (uint32_t seen = state_.load(); seen != kBuilding; seen = state_.load()) {
+    for (uint32_t seen = state_.load(); seen != kAsked; seen = state_.load()) {
       if (seen == kStop) return;
       state_.wait(seen);
     }
     Result<void> built;
     try {
+      takeOver(next_cut_, asked_, spare_);
+      next_fading_.assign(asked_fading_.begin(), asked_fading_.end());
+      state_ = kBuilding;
       if (renumbered_) back_->renumberNext();
       if (!cut_.empty()) built = back_->update(cut_, fading_);  // what the front has taken up since
       renumbered_ = false;
@@ -59,10 +62,10 @@ void CutBuilder::work() {
 
 void CutBuilder::start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
   started_ = now_();
-  takeOver(next_cut_, active, spare_);
-  next_fading_.assign(fading.begin(), fading.end());
+  asked_ = active;
+  asked_fading_ = fading;
   renumber_ = std::exchange(renumber_next_, false);
-  state_ = kBuilding;
+  state_ = kAsked;
 }
 
 Result<void> CutBuilder::take() {
@@ -99,7 +102,7 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active, std::spa
 
 void CutBuilder::await() const {
   begin();
-  state_.wait(kBuilding);
+  for (uint32_t seen = state_.load(); seen == kAsked || seen == kBuilding; seen = state_.load()) state_.wait(seen);
 }
 
 bool CutBuilder::holds(std::span<const stream::StripPtr> active) const { return !back_ || (!renumber_next_ && std::ranges::equal(active, cut_)); }

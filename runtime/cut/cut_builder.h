@@ -37,25 +37,27 @@ class CutBuilder {
   const stream::ResidentStrip& strip(size_t tile) const { return front_->strip(tile); }
 
   // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built, from
-  // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Errors: as MatrixAssembler::update.
-  // fading: as MatrixAssembler::update.
+  // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Both lists then stay as they are while
+  // reads(). Errors: as MatrixAssembler::update. fading: as MatrixAssembler::update.
   Result<void> next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
   // Wakes the thread, which may take the caller's core for a while: so a frame does it when all else is done.
   void begin() const {
-    if (state_.load() == kBuilding) state_.notify_one();
+    if (reads()) state_.notify_one();
   }
+  // Whether the thread has yet to read the lists of the last next(): counts of strips are changed there.
+  bool reads() const { return state_.load() == kAsked; }
   // From a cut's first call of next() to the one that took it up, s: longestOfLate(); 0 without a background.
   float latencySeconds() const { return latency_seconds_; }
   // Blocks until nothing is being built.
   void await() const;
   // Whether the matrix is that of a cut.
   bool holds(std::span<const stream::StripPtr> active) const;
-  // The cut that was last begun to be put together, whether or not the matrix is there.
+  // The cut that was last begun to be put together, whether or not the matrix is there. Not while reads().
   std::span<const stream::StripPtr> latest() const { return state_ == kIdle ? cut_ : next_cut_; }
   void renumberNext() { renumber_next_ = true; }  // for tests
 
  private:
-  enum State : uint32_t { kIdle, kBuilding, kReady, kStop };
+  enum State : uint32_t { kIdle, kAsked, kBuilding, kReady, kStop };
   void work();
   void start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading);
   Result<void> take();
@@ -69,7 +71,9 @@ class CutBuilder {
   bool renumber_next_ = false;
   std::chrono::steady_clock::time_point started_;
   float latency_seconds_ = 0;
-  // Handed to the thread, which only reads them, and back by state_.
+  // Handed to the thread and back by state_.
+  std::span<const stream::StripPtr> asked_;        // of the last next(); these two until the thread has made them next_cut_ and next_fading_
+  std::span<const FadingTile> asked_fading_;
   std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
   std::vector<FadingTile> fading_, next_fading_;  // of these
   std::vector<stream::StripPtr> spare_;            // of takeOver()

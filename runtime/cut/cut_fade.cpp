@@ -1,8 +1,9 @@
 #include "runtime/cut/cut_fade.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
+
+#include "runtime/cut/strip_list.h"
 
 namespace ff::runtime {
 namespace {
@@ -17,25 +18,27 @@ constexpr float kFar = 2;           // times as far away as when it began, a til
 
 // The largest difference between a node and its parent, lit without a bounce.
 float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<const Vec4> source) {
-  float hidden = 0;
+  Vec4 most;
+  Float4& hidden = asFloat4(most);
   for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
     const uint32_t parent = matrix.parent_slot[slot];
     if (parent == kNoSlot) continue;
     const Vec4& own = source[slot];
     const Vec4 above = onAlbedo(source[parent], matrix.albedo[parent], matrix.albedo[slot], own);
-    hidden = std::max({hidden, std::abs(own.x - above.x), std::abs(own.y - above.y), std::abs(own.z - above.z)});
+    const Float4 more = asFloat4(own) - asFloat4(above), less = -more, differs = more < less ? less : more;
+    hidden = hidden < differs ? differs : hidden;
   }
-  return hidden;
+  return std::max({most.x, most.y, most.z});
 }
 
 }  // namespace
 
 CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
+  for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
   for (auto* known : {&active_, &active_before_, &known_, &next_known_}) known->reserve(kMaxTiles);
   fading_.reserve(kMaxTiles);
-  for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
   order_.reserve(kMaxTiles);
 }
@@ -46,7 +49,10 @@ CutFade::Tile* CutFade::find(formats::TileId id) {
 }
 
 std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
-  if (settings_.frames == 0) return active;
+  if (settings_.frames == 0) {
+    if (!std::ranges::equal(active, cut_)) takeOver(cut_, active, next_cut_);
+    return cut_;
+  }
   if (!std::exchange(one_has_gone_, false) && std::ranges::equal(active, active_, {}, &StripPtr::get, &Known::strip)) return cut_;
   followActive(active);
   listLeaving();
@@ -211,6 +217,7 @@ void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, c
 }
 
 void CutFade::finish() {
+  if (settings_.frames == 0) return;
   active_.clear();
   cut_.clear();
   known_.clear();

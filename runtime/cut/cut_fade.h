@@ -21,9 +21,9 @@ class CutFade {
  public:
   explicit CutFade(const FadeSettings& settings = {});
 
-  // The tiles to put a matrix together of: `active` (as Streamer::active()) and those that fade out. Sorted likewise; valid until the next call.
+  // The tiles to put a matrix together of: `active` (as Streamer::active()) and those that fade out. Sorted likewise; as they are until the next call, or finish().
   std::span<const stream::StripPtr> cut(std::span<const stream::StripPtr> active);
-  // Those of the last cut() that fade out, sorted.
+  // Those of the last cut() that fade out, sorted; likewise.
   std::span<const FadingTile> fading() const { return fading_; }
   // The matrix is that of another cut. entered: as MatrixChange has it; empty where slots were given out anew.
   void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered);
