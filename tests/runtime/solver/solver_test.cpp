@@ -269,6 +269,34 @@ TEST(CpuGather, ApproachEndsWhereIterationsEndOnAnyCutAndAlbedo) {
     }
 }
 
+// Its steps take turns with three lists of light; no step writes what tiles that left had in them.
+TEST(CpuGather, ApproachLeavesFreeSlotsDark) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .sky_share = 0, .albedo = 0.98f, .seed = 2});
+  MatrixAssembler assembler(test.world());
+  const LocalMatrix& m = assembler.matrix();
+  const auto solver = makeCpuGather(1);
+  std::vector<Vec4> light;
+  uint32_t freed = 0;
+  for (const double chance : {1.0, 0.3, 0.9, 0.2}) {
+    ASSERT_TRUE(assembler.update(test.randomCut(chance, 6)));
+    ASSERT_TRUE(solver->update(m, assembler.change()));
+    ASSERT_TRUE(solver->setSource(randomSource(m.slots(), 7)));
+    std::vector<uint8_t> taken(m.slots());
+    for (const SlotRange& range : m.tiles) std::fill_n(taken.begin() + range.first_slot, range.nodes, uint8_t{1});
+    for (int steps = 28; steps < 34; ++steps) {  // whichever list ends up in front
+      ASSERT_TRUE(solver->approach(steps));
+      light.resize(m.slots());
+      ASSERT_TRUE(solver->radiosity(light));
+      for (uint32_t s = 0; s < m.slots(); ++s) {
+        if (taken[s]) continue;
+        ++freed;
+        ASSERT_EQ(light[s].x + light[s].y + light[s].z, 0) << "slot " << s;
+      }
+    }
+  }
+  EXPECT_GT(freed, 100u);
+}
+
 TEST(CpuGather, AWarmStartFromTheSolutionStaysThere) {
   const TestWorld test({.side = 16, .tile_nodes = 12});
   const auto matrix = solverMatrix(test, test.randomCut(0.6, 3));
