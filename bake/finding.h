@@ -17,7 +17,7 @@ struct FoundPlace {
 };
 
 struct Finding {
-  std::string kind;             // for programs: "leaks", "slivers", "duplicates", "lamps_in_plane", "overlaps", "open_edges", "not_modelled", "sky_dome", "density"
+  std::string kind;             // for programs: "leaks", "slivers", "duplicates", "overlaps", "open_edges", "not_modelled", "sky_dome", "density"
   std::string what;             // for people
   uint64_t count = 0;
   std::string counted{};        // what there are `count` of: "triangles"; empty: nothing is counted

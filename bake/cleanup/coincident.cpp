@@ -48,6 +48,11 @@ bool isSame(const Face& a, const Face& b, bool any_side, double tolerance) {
   return false;
 }
 
+double brightness(const Material& m) {
+  return 1e6 * static_cast<double>(m.emission.x + m.emission.y + m.emission.z) +
+         static_cast<double>(m.base_color.x + m.base_color.y + m.base_color.z);
+}
+
 // Two triangles that have an edge in common and lie in one plane are a quad.
 bool makeQuad(const Scene& scene, uint32_t t, uint32_t u, Face& quad) {
   const Triangle &a = scene.triangles[t], &b = scene.triangles[u];
@@ -229,11 +234,6 @@ class Finder {
 };
 
 }  // namespace
-
-double brightness(const Material& m) {
-  return 1e6 * static_cast<double>(m.emission.x + m.emission.y + m.emission.z) +
-         static_cast<double>(m.base_color.x + m.base_color.y + m.base_color.z);
-}
 
 std::vector<bool> findDuplicates(const Scene& scene) {
   std::vector<bool> duplicate(scene.triangles.size());

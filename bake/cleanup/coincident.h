@@ -8,9 +8,6 @@
 
 namespace ff::bake {
 
-// By which of two surfaces in one place stays: emitters before all others.
-double brightness(const Material& material);
-
 // Of each triangle, whether another stands for it: the same corners within rounding, in any order that faces the same way (any
 // at all where both are double-sided); or, with a neighbour that follows it, the same quad split along its other diagonal. Of those that coincide an emitter stays, then the
 // brightest, then the first: whatever the order of meshes the same light stays. Where one has holes both must be of one material. Linear in the number of

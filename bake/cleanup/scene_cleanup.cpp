@@ -7,11 +7,9 @@
 #include <cstdio>
 #include <cstring>
 #include <map>
-#include <span>
 #include <tuple>
 
 #include "bake/cleanup/coincident.h"
-#include "bake/cleanup/lamps_in_plane.h"
 #include "bake/cleanup/scene_names.h"
 #include "bake/cleanup/sky_dome.h"
 #include "bake/rays/surface_sampling.h"
@@ -65,19 +63,6 @@ class Cleaner {
       }
       s.triangles[t].material = at->second;
     }
-  }
-
-  // Each with corners of its own.
-  void lift(std::span<const Lift> lifts) {
-    Scene& s = edit();
-    for (const auto& [t, by] : lifts)
-      for (uint32_t& v : s.triangles[t].v) {
-        s.positions.push_back(s.positions[v] + by);
-        if (!s.uv0.empty()) s.uv0.push_back(Vec2(s.uv0[v]));
-        if (!s.uv1.empty()) s.uv1.push_back(Vec2(s.uv1[v]));
-        if (!s.colors.empty()) s.colors.push_back(Rgba(s.colors[v]));
-        v = static_cast<uint32_t>(s.positions.size() - 1);
-      }
   }
 
   Scene& edit() {
@@ -192,17 +177,6 @@ Result<Cleanup> cleanUp(const Scene& whole, const CleanupSettings& settings) {
       }
       cleaner.leaveOut(duplicate);
     }
-  }
-  auto lifts = findLampsInPlane(cleaner.scene());
-  if (!lifts) return lifts.error();
-  if (!lifts->empty()) {
-    PlaceSums places(cleaner.scene());
-    for (const Lift& l : *lifts) places.add(l.triangle);
-    const uint64_t count = lifts->size();
-    findings.push_back({"lamps_in_plane", counted(count, "triangle") + (count == 1 ? " that emits lies" : " that emit lie") + " in one plane with what " + (count == 1 ? "it covers, and is" : "they cover, and are") + " taken to lie on it",
-                        count, "triangles"});
-    places.putInto(findings.back());
-    cleaner.lift(*lifts);
   }
   if (settings.backs != Backs::kAbsorb) {
     Scene& s = cleaner.edit();
