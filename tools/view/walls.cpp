@@ -45,13 +45,19 @@ std::vector<std::vector<uint32_t>> Walls::split(std::span<const uint32_t> alike)
     const uint32_t from = std::max(group[i], group[j]), to = std::min(group[i], group[j]);
     std::replace(group.begin(), group.end(), from, to);
   };
+  // Welding takes the area of slivers, along a wall above all: on which side of it they lay is not to be seen.
+  std::vector<bool> has_area(n);
+  for (size_t i = 0; i < n; ++i) {
+    const size_t first = alike[i] / 3 * 3;
+    has_area[i] = !(cross(corners_[first + 1] - corners_[first], corners_[first + 2] - corners_[first]) == Vec3{});
+  }
   bool wall = false;
   for (size_t i = 0; i < n; ++i)
     for (size_t j = 0; j < i; ++j)
       if (patches_[alike[i] / 3] == patches_[alike[j] / 3]) join(i, j);
   for (size_t i = 0; i < n; ++i)
     for (size_t j = 0; j < i; ++j) {
-      if (group[i] == group[j]) continue;
+      if (group[i] == group[j] || !has_area[i] || !has_area[j]) continue;
       const uint32_t first[2] = {alike[i] / 3 * 3, alike[j] / 3 * 3};
       const Vec3 at = corners_[alike[i]];
       for (uint32_t k = 1; k < 3; ++k)

@@ -24,7 +24,7 @@ class Walls {
   // corners: three per triangle, known to `tolerance`; patches: one per triangle. Both outlive this.
   Walls(std::span<const Vec3> corners, std::span<const uint32_t> patches, float cell_m, float tolerance);
   // Corners at one place, of faces that point the same way, in groups: two faces that share a side from there on are apart where
-  // a wall stands on it, unless there is a way around the place or they are of one patch. One group where no wall stands.
+  // a wall stands on it, unless there is a way around the place or they are of one patch. Those without area are with their patch. One group where no wall stands.
   std::vector<std::vector<uint32_t>> split(std::span<const uint32_t> alike) const;
 
  private:

@@ -1,9 +1,11 @@
 #include <gtest/gtest.h>
 
+#include <array>
 #include <map>
 #include <set>
 
 #include "tests/tools/view/view_scenes.h"
+#include "tools/view/walls.h"
 
 namespace ff::view {
 namespace {
@@ -91,6 +93,16 @@ TEST(Weld, NeverTakesLightFromTheOtherSideOfAWallThatStandsOnTheFloor) {
       for (const uint32_t lighter : lightersOf(scene, weld, 7)) across |= lighter / 8 == 1 && lighter < 16;
       EXPECT_EQ(across, !whole);
     }
+}
+
+// Two triangles of a floor before a wall, one behind it, and a sliver of the latter's patch on the wall's foot, whose area welding has taken.
+TEST(Weld, ASliverWithoutAreaJoinsNothingAcrossAWall) {
+  const std::vector<Vec3> corners{{0, 0, 0}, {-1, 0, 0}, {0, 0, 1}, {0, 0, 0}, {0, 0, -1}, {-1, 0, 0}, {0, 0, 0}, {1, 0, 0},
+                                  {0, 0, -1}, {0, 0, 0}, {0, 0, 1}, {0, 0, 1}, {0.0005f, 0, -2}, {0.0005f, 0, 2}, {0.0005f, 2, 0}};
+  const std::vector<uint32_t> patches{0, 0, 1, 1, 2};
+  const Walls walls(corners, patches, 1, 1e-3f);
+  const std::vector<std::vector<uint32_t>> groups = walls.split(std::array<uint32_t, 4>{0, 3, 6, 9});
+  EXPECT_EQ(groups, (std::vector<std::vector<uint32_t>>{{0, 3}, {6, 9}}));
 }
 
 // A roof ends in a rim that faces as the wall below does and joined the roof's patch, too small for one of its own.
