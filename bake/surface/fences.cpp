@@ -185,7 +185,7 @@ void cutAlong(const Segment& fence, Point normal, double eps, std::vector<Polygo
 
 struct Fences::Found {
   std::vector<Segment> fences;  // that may part it, the longest first; both sides'
-  bool fenced[2] = {}, close[2] = {}, low[2] = {};  // close: something may lie on it; low: or hang low over it
+  bool fenced[2] = {}, close[2] = {}, low[2] = {}, doubled[2] = {};  // close: something may lie on it; low: or hang low over it; doubled: or stand for it
 };
 
 Vec3 Fences::metres(Point p) const { return vec3Of(p * cell_m_); }
@@ -209,6 +209,37 @@ Point Fences::normalOf(uint32_t triangle) const {
   const Point n = cross(b - a, c - a);
   const double l = length(n);
   return l > 0 ? n * (1 / l) : Point{0, 1, 0};
+}
+
+bool Fences::inOnePlane(uint32_t t, uint32_t u) const {
+  const double touch = std::max(touchOf(t), touchOf(u));
+  const auto near = [&](uint32_t plane_of, uint32_t of) {
+    const Plane plane{cornersOf(plane_of)[0], normalOf(plane_of)};
+    return std::ranges::all_of(cornersOf(of), [&](const Point& p) { return std::abs(plane.above(p)) <= touch; });
+  };
+  return near(t, u) && near(u, t);
+}
+
+bool Fences::comesFirst(uint32_t t, uint32_t u) const {
+  const auto isLamp = [&](uint32_t v) { return !(scene_.materials[scene_.triangles[v].material].emission == Vec3{}); };
+  return isLamp(t) != isLamp(u) ? isLamp(t) : t < u;
+}
+
+bool Fences::standsFor(uint32_t other, uint32_t triangle, bool back) const {
+  const Material& material = scene_.materials[scene_.triangles[other].material];
+  if (material.cutout || patchedSides(material) == 0 || !comesFirst(other, triangle)) return false;
+  return material.double_sided || (dot(normalOf(other), normalOf(triangle)) < 0) == back;
+}
+
+Fences::Double Fences::doubleOf(uint32_t triangle, bool back, Point point) const {
+  const double hair = hairOf(triangle);
+  std::vector<uint32_t> near;
+  caster_.near(metres(point), static_cast<float>(hair * cell_m_), near);
+  uint32_t first = triangle;
+  for (const uint32_t u : near)
+    if (u != triangle && comesFirst(u, first) && standsFor(u, triangle, back) && inOnePlane(u, triangle) && contains(cornersOf(u), point, hair)) first = u;
+  if (first == triangle) return {};
+  return {first, (dot(normalOf(first), normalOf(triangle)) < 0) == back};
 }
 
 Fences::Found Fences::find(const Piece& piece) const {
@@ -244,6 +275,20 @@ Fences::Found Fences::find(const Piece& piece) const {
       }
       const std::array<double, 3> z{plane.above(corners[0]), plane.above(corners[1]), plane.above(corners[2])};
       const auto [least, most] = std::minmax({z[0], z[1], z[2]});
+      const auto addInside = [&] {
+        for (size_t k = 0; k < 3; ++k) {
+          Segment edge{corners[k] - plane.normal * z[k], corners[(k + 1) % 3] - plane.normal * z[(k + 1) % 3]};
+          Segment inside = edge;
+          if (clipInside(piece.polygon, normal, eps, inside) && clipInside(piece.polygon, normal, 0, edge) && length(edge.b - edge.a) > eps)
+            found.fences.push_back(edge);
+        }
+      };
+      if (const double either = std::max(touch, touchOf(u)); most <= either && least >= -either && inOnePlane(u, piece.triangle)) {
+        if (!standsFor(u, piece.triangle, side == 1)) continue;
+        found.doubled[side] = true;
+        addInside();
+        continue;
+      }
       if (is_large && least >= hair && least < low) {
         found.low[side] = true;
         addEdges(plane, corners, low, hanging[static_cast<size_t>(side)]);
@@ -251,12 +296,7 @@ Fences::Found Fences::find(const Piece& piece) const {
       }
       if (!(most < hair && most > touch && least > -touch)) continue;
       found.close[side] = true;
-      for (size_t k = 0; k < 3; ++k) {
-        Segment edge{corners[k] - plane.normal * z[k], corners[(k + 1) % 3] - plane.normal * z[(k + 1) % 3]};
-        Segment inside = edge;
-        if (clipInside(piece.polygon, normal, eps, inside) && clipInside(piece.polygon, normal, 0, edge) && length(edge.b - edge.a) > eps)
-          found.fences.push_back(edge);
-      }
+      addInside();
     }
   }
   const auto sortLongestFirst = [](std::span<Segment> some) {
@@ -300,9 +340,11 @@ void Fences::cut(const Piece& whole, PieceList& out) const {
     leaf_of[i] = static_cast<uint32_t>(leaves.size());
     Piece leaf = piece;
     leaf.polygon = parts[i].polygon;
-    for (int side = 0; side < 2; ++side)
-      leaf.covered[side] = (found.close[side] && isCovered(piece.triangle, side == 1, middle(leaf.polygon))) ||
-                           (found.low[side] && isUnder(piece.triangle, side == 1, middle(leaf.polygon)));
+    for (int side = 0; side < 2; ++side) {
+      const Point at = middle(leaf.polygon);
+      leaf.doubled[side] = found.doubled[side] && doubleOf(piece.triangle, side == 1, at).triangle != kNone;
+      leaf.covered[side] = leaf.doubled[side] || (found.close[side] && isCovered(piece.triangle, side == 1, at)) || (found.low[side] && isUnder(piece.triangle, side == 1, at));
+    }
     leaves.push_back(std::move(leaf));
   }
   // Parts that belong together on both sides are one again where they came from one cut.
@@ -341,7 +383,7 @@ Fences::Border Fences::between(PieceSide a, PieceSide b) const {
 }
 
 bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const {
-  if (a.piece->covered[a.back] != b.piece->covered[b.back]) return false;
+  if (a.piece->covered[a.back] != b.piece->covered[b.back] || a.piece->doubled[a.back] != b.piece->doubled[b.back]) return false;
   if (!a.piece->fenced[a.back] && !b.piece->fenced[b.back]) return true;
   // Where an eye a hair above the surface is, half a hair inside of a side of a polygon.
   struct Rim {
@@ -416,7 +458,7 @@ bool Fences::isCovered(uint32_t triangle, bool back, Point point) const {
   const Vec3 down{static_cast<float>(-normal.x), static_cast<float>(-normal.y), static_cast<float>(-normal.z)};
   const double hair = hairOf(triangle), touch = touchOf(triangle);
   const Hit hit = caster_.nearest({metres(point + normal * hair), down}, static_cast<float>((hair - touch) * cell_m_));
-  return hit.triangle != kNone && hit.triangle != triangle &&
+  return hit.triangle != kNone && hit.triangle != triangle && !inOnePlane(hit.triangle, triangle) &&
          (hit.front || scene_.materials[scene_.triangles[hit.triangle].material].double_sided);
 }
 

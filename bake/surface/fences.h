@@ -4,6 +4,7 @@
 // other surfaces meet them; then those that see each other a hair above the surface belong together again, so that only true
 // partitions part. A hair is a thousandth of a cell, or what rounding asks for: a gap narrower than that counts as closed.
 // What hangs *low*, less than a tenth of a cell above a surface, parts it as well: next to no light gets under a door, or behind a moulding, a picture.
+// Where two triangles lie in one plane, rays meet either, as rounding has it: surface is *doubled* where the other one stands for both.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -26,6 +27,7 @@ struct Piece {
   bool fenced[2] = {};   // something stands on it or at its border: ask `Fences::between` what it is connected to
   bool covered[2] = {};  // another surface lies on it, less than a hair away, or hangs low over it
   bool low[2] = {};      // something may hang low over it or at its border
+  bool doubled[2] = {};  // in its plane lies what stands for it (`Fences::doubleOf`); covered as well
 };
 
 // Pieces with their corners, as many as a world has.
@@ -81,12 +83,24 @@ class Fences {
   // Whether another surface lies on a triangle's side at a point of it (cells), less than a hair away: a picture on its wall.
   bool isCovered(uint32_t triangle, bool back, Point point) const;
 
+  // What stands for a triangle's side at a point of it (cells): of the triangles in its plane that are seen from there, have patches and no holes, a lamp's,
+  // else the first of the scene. kNone: it does itself.
+  struct Double {
+    uint32_t triangle = kNone;
+    bool front = true;
+  };
+  Double doubleOf(uint32_t triangle, bool back, Point point) const;
+
  private:
   struct Found;
   Found find(const Piece& piece) const;
   bool hides(PieceSide of, const Point& eye, const Point& to) const;
   std::array<Point, 3> cornersOf(uint32_t triangle) const;
   Point normalOf(uint32_t triangle) const;
+  bool inOnePlane(uint32_t t, uint32_t u) const;
+  // Of two that are: which one stands for both where both have patches and no holes, and whether the other one does for a side of a triangle.
+  bool comesFirst(uint32_t t, uint32_t u) const;
+  bool standsFor(uint32_t other, uint32_t triangle, bool back) const;
   // Whether another surface hangs low over a triangle's side at a point of it (cells), a hair off or more.
   bool isUnder(uint32_t triangle, bool back, Point point) const;
   double hairOf(uint32_t triangle) const;   // cells

@@ -65,6 +65,8 @@ class PatchBuilder {
       mergePatches(scene_, *caster_, {s, settings_.merge_error, settings_.metals}, pieces_, sides_, labels_);
     }
     measure();
+    if (fences) findDoubles(*fences);
+    keepSealed();
     return std::move(set_);
   }
 
@@ -168,7 +170,20 @@ class PatchBuilder {
     tbb::parallel_for(size_t{0}, set_.patches.size(), [&](size_t p) { measurePatch(p, sides_of.of(p)); });
     release(sides_);
     for (const Patch& p : set_.patches) set_.area_m2 += static_cast<double>(p.area_m2);
-    keepSealed();
+  }
+
+  // What rays meet of doubled surface counts for what stands for it.
+  void findDoubles(const Fences& fences) {
+    std::vector<std::array<uint32_t, 3>> doubles;  // piece, back, patch
+    for (uint32_t i = 0; i < pieces_.size(); ++i)
+      for (const uint32_t back : {0u, 1u}) {
+        if (set_.pieces_[i].patch[back] != kSealed || !pieces_[i].doubled[back]) continue;
+        const Point at = middle(pieces_[i].polygon);
+        const Fences::Double other = fences.doubleOf(pieces_[i].triangle, back == 1, at);
+        if (other.triangle == kNone) continue;
+        if (const uint32_t patch = set_.patchAt(other.triangle, other.front, vec3Of(at * static_cast<double>(settings_.cell_m))); patch < set_.patches.size()) doubles.push_back({i, back, patch});
+      }
+    for (const auto& [piece, back, patch] : doubles) set_.pieces_[piece].patch[back] = patch;
   }
 
   // Sealed pieces by the patch that their triangle goes on in. Farther than a cell from all of its patches nobody sees them.

@@ -77,7 +77,7 @@ bool SealedSurface::isSealed(std::span<const PieceSide> surface) const {
     const Frame frame = frameOf(normalized(cross(at->b - at->a, at->c - at->a)));
     ++origins;
     const auto cells = [&](float v) { return static_cast<double>(v) / static_cast<double>(cell_m_); };
-    if (fences_.isCovered(triangle, at->side.back, {cells(on.x), cells(on.y), cells(on.z)})) {
+    if (at->side.piece->doubled[at->side.back] || fences_.isCovered(triangle, at->side.back, {cells(on.x), cells(on.y), cells(on.z)})) {
       ++hidden;
       continue;
     }

@@ -256,6 +256,9 @@ TEST_F(BakeFindings, DuplicatesAndOverlapsHavePlaces) {
   s.materials[wall].name = "wall";
   s.materials[sheet].name = "sheet";
   addRoom(s, {0, 0, 0}, {4, 3, 4}, room, room);
+  const uint32_t side = addMaterial(s, {.5f, .5f, .5f});
+  s.materials[side].cutout = s.materials[sheet].cutout = true;  // without holes the one would stand for the other
+  s.triangles[2].material = s.triangles[3].material = side;     // at x = 0
   addQuad(s, {4, 0, 0}, {4, 0, 4}, {4, 3, 4}, {4, 3, 0}, wall);                            // as the room's own, at x = 4
   addQuad(s, {0, 0.4f, 0.4f}, {0, 2.6f, 0.4f}, {0, 2.6f, 3.6f}, {0, 0.4f, 3.6f}, sheet);  // on the wall at x = 0
   const auto stats = bake(s, {.cell_m = 1});

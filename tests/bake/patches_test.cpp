@@ -98,10 +98,14 @@ TEST(Patches, WhatLiesUnderARugIsKeptForDrawingWithTheFloorsPatch) {
   EXPECT_NEAR(area, .5f, 1e-3f);
 }
 
-TEST(Patches, TwoSurfacesInOnePlaneDoNotHideEachOther) {
+TEST(Patches, OfTwoSurfacesInOnePlaneTheFirstStandsForBoth) {
   const PatchSet set = floorUnderRug(0);
   ASSERT_EQ(set.patches.size(), 1u);
-  EXPECT_NEAR(set.patches[0].area_m2, 1.5, 1e-3);
+  EXPECT_NEAR(set.patches[0].area_m2, 1, 1e-3);
+  EXPECT_NEAR(set.patches[0].albedo.x, .2, 1e-3);
+  for (const uint32_t t : {2u, 3u}) EXPECT_EQ(set.patchAt(t, true, {.25f, .5f, .5f}), 0u);
+  EXPECT_NEAR(set.sealed_m2, .5, 1e-3);
+  EXPECT_TRUE(set.sealed.empty());
 }
 
 TEST(Patches, ALampAndItsFittingAreNeverOnePatch) {

@@ -335,6 +335,43 @@ TEST(FormFactor, APlaceIsNarrowWhereMostRaysEndWithinFourCellsAndMoreSoWithinOne
   }
 }
 
+// A floor and another surface that lies in its plane over a part of it, under a ceiling: rays meet the one or the other, as rounding has it.
+TEST(FormFactor, SurfaceThatLiesInOnePlaneWithAnotherCountsOnce) {
+  constexpr float kY = 0.1f, kFrom = 0.3f, kOut = 1.3f;
+  for (const bool other_first : {false, true})
+    for (const bool is_lamp : {false, true})
+      for (const bool double_sided : {false, true}) {
+        Scene s;
+        const uint32_t floor = addMaterial(s, {.5f, .5f, .5f}), other = addMaterial(s, {.2f, .2f, .2f}, is_lamp ? Vec3{1, 1, 1} : Vec3{});
+        s.materials[floor].double_sided = s.materials[other].double_sided = double_sided;
+        const auto addFloor = [&] { addQuad(s, {0, kY, 0}, {0, kY, 1}, {1, kY, 1}, {1, kY, 0}, floor); };
+        if (!other_first) addFloor();
+        addQuad(s, {kFrom, kY, 0}, {kFrom, kY, 1}, {kOut, kY, 1}, {kOut, kY, 0}, other);
+        if (other_first) addFloor();
+        const uint32_t ceiling = addMaterial(s, {.5f, .5f, .5f});
+        addQuad(s, {0, 1 + kY, 0}, {1, 1 + kY, 0}, {1, 1 + kY, 1}, {0, 1 + kY, 1}, ceiling);
+        const CastScene c = cast(std::move(s), 0.25f, 2048);
+        const std::vector<float> areas = areasOf(c);
+        const PooledPatches pooled(c.rows, areas);
+        double exchange = 0;  // of the ceiling and what is above the unit square
+        ExchangeRow row;
+        for (uint32_t i = 0; i < c.set.patches.size(); ++i) {
+          pooled.row(i, row);
+          EXPECT_NEAR(row.total_m2() / static_cast<double>(areas[i]), 1, 0.1);
+          if (materialOf(c, i) != ceiling) continue;
+          for (size_t k = 0; k < row.column.size(); ++k)
+            if (c.set.patches[row.column[k]].normal.y > 0 && c.set.patches[row.column[k]].centroid.x < 1) exchange += row.area_m2[k];
+        }
+        std::array<double, 3> area{};  // by material
+        for (const PatchTriangle& t : c.set.triangles) area[c.scene.triangles[t.source].material] += static_cast<double>(length(cross(t.b - t.a, t.c - t.a))) / 2;
+        const double sides = double_sided ? 2 : 1;
+        const bool other_stays = other_first || is_lamp;
+        EXPECT_NEAR(area[floor], sides * (other_stays ? static_cast<double>(kFrom) : 1), 1e-3);
+        EXPECT_NEAR(area[other], sides * (other_stays ? 1 : static_cast<double>(kOut) - 1), 1e-3);
+        EXPECT_NEAR(exchange, 0.199825, 0.004);  // of two unit squares at distance 1, closed form
+      }
+}
+
 TEST(FormFactor, WhatOfASheetIsInAClosedBoxTakesNoPart) {
   // A closed box with a tongue through its side, half in and half out.
   Scene s;
