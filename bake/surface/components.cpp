@@ -323,8 +323,8 @@ class Labeller {
     return kind_[root] == Kind::kWhole || (isLoose(root, host) && parted_[root] && area_[root] >= kOwnPatch * crumbOf(root));
   }
 
-  // Of some roots the nearest that a crumb sees; where it sees none of them, the nearest: the other side of a wall may be nearer. Of equally near ones the
-  // first.
+  // Of some roots the nearest that a crumb sees, or, where no fence is near it, that is in its space; where it sees none of them, the nearest in its space: the
+  // other side of a wall may be nearer, or all there is. Of equally near ones the first.
   struct Nearest {
     uint32_t root = kNobody;
     double square = 1e300;
@@ -338,22 +338,28 @@ class Labeller {
     }
     const auto members = members_.of(crumb);
     const bool free = std::none_of(members.begin(), members.end(), [&](uint32_t i) { return isFenced(i); });
+    // In a grid coarser than the base cells a place is many spaces wide, and its own orientation counts for more.
+    const auto near = [&](uint32_t root) { return !fences_ || piece(crumb).fineness < 0 || fences_->shareSpace(at(crumb), at(root)); };
     const std::greater<> farther;
     std::make_heap(by_distance.begin(), by_distance.end(), farther);
-    Nearest best;
+    std::vector<std::pair<double, uint32_t>> unseen;
     for (auto end = by_distance.end(); end != by_distance.begin(); --end) {
       std::pop_heap(by_distance.begin(), end, farther);
       const auto [square, k] = *(end - 1);
-      if (free || fences_->sees(at(crumb), at(roots[k]))) return {roots[k], square, true};
-      if (best.root == kNobody) best = {roots[k], square, false};
+      if (free ? near(roots[k]) : fences_->sees(at(crumb), at(roots[k]))) return {roots[k], square, true};
+      unseen.emplace_back(square, roots[k]);
     }
-    return best;
+    if (free) return {};
+    for (const auto& [square, root] : unseen)
+      if (near(root)) return {root, square, false};
+    return {};
   }
 
   // Finds hosts for crumbs of a place: what has a patch of its own there; for crumbs that see none, and for those that would make a patch too small to
   // be of use, what has one in the same base cell or, if they see nothing there, the cells around it. Here alone surface of one grid may join a patch of
-  // another. Crumbs stay without where there is none: they are a patch together.
-  void placeCrumbs(size_t begin, size_t end, PagedVector<uint32_t>& host) const {
+  // another. Crumbs stay without where there is none: they are a patch together. Those that share no space with what there is, inside of a foot, have none if they
+  // come to next to nothing.
+  void placeCrumbs(size_t begin, size_t end, PagedVector<uint32_t>& host) {
     double area = 0;
     std::vector<uint32_t> own, loose;
     for (size_t i = begin; i < end; ++i) {
@@ -365,16 +371,25 @@ class Labeller {
       }
     }
     if (own.empty() && area >= kTiny * crumbOf(begin)) return;
+    std::vector<uint32_t> enclosed;
+    double enclosed_area = 0;
     for (const uint32_t i : loose) {
       const Nearest here = nearest(i, own);
       host[i] = here.root;
       if (here.seen) continue;
-      const Nearest other = nearestWhole(i);
-      if (own.empty() || other.seen) host[i] = other.root;
+      bool alone = own.empty();
+      const Nearest other = nearestWhole(i, alone);
+      if (here.root == kNobody || other.seen) host[i] = other.root;
+      if (host[i] != kNobody || alone) continue;
+      enclosed.push_back(i);
+      enclosed_area += area_[i];
     }
+    if (sides_[begin].lamp_group != formats::kNoLampGroup || enclosed_area >= kTiny * crumbOf(begin)) return;
+    for (const uint32_t i : enclosed) kind_[i] = Kind::kSealed;
   }
 
-  Nearest nearestWhole(size_t root) const {
+  // alone: is false from then on if there is anything to join.
+  Nearest nearestWhole(size_t root, bool& alone) const {
     std::vector<uint32_t> roots;
     const auto list = [&](const Cell& cell) {
       for (const uint32_t j : std::ranges::equal_range(whole_, hilbertKey(cell), {}, [&](uint32_t i) { return sides_[i].key; }))
@@ -383,29 +398,32 @@ class Labeller {
     const int fineness = piece(root).fineness;
     const Cell own = baseCell(piece(root).cell, fineness);
     list(own);
+    alone &= roots.empty();
     const Nearest here = nearest(root, roots);
     if (here.seen) return here;
     roots.clear();
     const int32_t step = fineness < 0 ? 1 << -fineness : 1;
     for (int32_t n = 0; n < 27; ++n)
       if (n != 13) list({own[0] + step * (n % 3 - 1), own[1] + step * (n / 3 % 3 - 1), own[2] + step * (n / 9 - 1)});
+    alone &= roots.empty();
     const Nearest around = nearest(root, roots);
     return around.seen || around.square < here.square ? around : here;
   }
 
   // Numbers the patches of one place.
   void number(size_t begin, size_t end, const PagedVector<uint32_t>& host, PagedVector<uint32_t>& patch, PagedVector<uint32_t>& home) const {
-    const size_t before = home.size();
+    uint32_t together = kNobody;
     for (size_t i = begin; i < end; ++i) {
-      if (!isOwn(i, host)) continue;
-      patch[i] = static_cast<uint32_t>(home.size());
-      home.push_back(static_cast<uint32_t>(i));
-    }
-    if (home.size() > before) return;
-    for (size_t i = begin; i < end; ++i) {
-      if (!isLoose(i, host)) continue;
-      if (home.size() == before) home.push_back(static_cast<uint32_t>(i));  // crumbs only: one patch together
-      patch[i] = static_cast<uint32_t>(before);
+      if (isOwn(i, host)) {
+        patch[i] = static_cast<uint32_t>(home.size());
+        home.push_back(static_cast<uint32_t>(i));
+      } else if (isLoose(i, host)) {
+        if (together == kNobody) {
+          together = static_cast<uint32_t>(home.size());
+          home.push_back(static_cast<uint32_t>(i));
+        }
+        patch[i] = together;
+      }
     }
   }
 

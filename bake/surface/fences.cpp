@@ -6,6 +6,7 @@
 #include <tuple>
 
 #include "bake/rays/surface_sampling.h"
+#include "bake/surface/fineness.h"
 #include "bake/surface/union_find.h"
 
 namespace ff::bake {
@@ -17,6 +18,7 @@ constexpr double kLeastUnder = 0.05;  // of a cell's face: where its pieces are 
 constexpr double kHairsOffBorder = 0.25;  // a fence so near a border stands on it
 constexpr size_t kMaxFences = 256, kMaxParts = 256;  // of a piece: past them, the longest fences count
 constexpr int kLooks = 8;  // along a border
+constexpr double kAwayCells = 0.25;  // as far as shareSpace() goes away from surface
 
 struct Plane {
   Point at, normal;
@@ -426,6 +428,20 @@ bool Fences::sees(PieceSide a, PieceSide b) const {
   const Point from_cells = eye(a), to_cells = eye(b);
   if (hides(a, from_cells, to_cells) || (scene_.backs != Backs::kPass && hides(b, to_cells, from_cells))) return false;
   const Vec3 from = metres(from_cells), to = metres(to_cells);
+  const float way = ff::length(to - from);
+  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+}
+
+bool Fences::shareSpace(PieceSide a, PieceSide b) const {
+  const auto away = [&](PieceSide s) {
+    const uint32_t t = s.piece->triangle;
+    const Point up = normalOf(t) * (s.back ? -1.0 : 1.0);
+    const Vec3 from = metres(middle(s.piece->polygon) + up * hairOf(t)), along = vec3Of(up);
+    const float most = static_cast<float>(2 * kAwayCells * edgeCells(s.piece->fineness) * cell_m_);
+    const Hit hit = caster_.nearest({from, along}, most);
+    return from + along * (0.5f * (hit.triangle == kNone ? most : std::min(most, ff::length(hit.point - from))));
+  };
+  const Vec3 from = away(a), to = away(b);
   const float way = ff::length(to - from);
   return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
 }

@@ -80,6 +80,10 @@ class Fences {
   // Whether the middles of two pieces see each other, both from a hair above.
   bool sees(PieceSide a, PieceSide b) const;
 
+  // Whether they are in one space: whether what is before the one sees what is before the other, from half way to what is opposite, a quarter of their own cell away
+  // at most.
+  bool shareSpace(PieceSide a, PieceSide b) const;
+
   // Whether another surface lies on a triangle's side at a point of it (cells), less than a hair away: a picture on its wall.
   bool isCovered(uint32_t triangle, bool back, Point point) const;
 

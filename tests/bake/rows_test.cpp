@@ -372,6 +372,37 @@ TEST(FormFactor, SurfaceThatLiesInOnePlaneWithAnotherCountsOnce) {
       }
 }
 
+// A foot of a chair with a slit in its side stands on a floor, a double-sided sheet; in the foot there may be a plate that touches nothing. No crumb of its
+// inside joins the floor's other side, which faces as it does, so that nothing above the floor sees what is below.
+TEST(FormFactor, NoLightGetsIntoAFootFromUnderTheFloorThatItStandsOn) {
+  for (const auto& [size, floating] : {std::pair{0.02f, false}, {0.05f, false}, {0.2f, false}, {0.1f, true}, {0.2f, true}}) {
+    Scene s;
+    const uint32_t m = addMaterial(s, {.9f, .9f, .9f});
+    s.materials[m].double_sided = true;
+    constexpr float kY = 0.5f;
+    addQuad(s, {0, kY, 0}, {0, kY, 1}, {1, kY, 1}, {1, kY, 0}, m);
+    const Vec3 lo{.2f, kY, .6f}, hi = lo + Vec3{size, size, size};
+    const auto addSide = [&](float x0, float z0, float x1, float z1, float top) { addQuad(s, {x0, kY, z0}, {x1, kY, z1}, {x1, top, z1}, {x0, top, z0}, m); };
+    addSide(lo.x, lo.z, lo.x, hi.z, hi.y);
+    addSide(hi.x, lo.z, hi.x, hi.z, hi.y);
+    addSide(lo.x, lo.z, hi.x, lo.z, hi.y);
+    addSide(lo.x, hi.z, hi.x, hi.z, hi.y - 0.2f * size);
+    addQuad(s, {lo.x, hi.y, lo.z}, {lo.x, hi.y, hi.z}, {hi.x, hi.y, hi.z}, {hi.x, hi.y, lo.z}, m);
+    if (floating) {
+      const float y = kY + 0.5f * size, in = 0.2f * size;
+      addQuad(s, {lo.x + in, y, lo.z + in}, {lo.x + in, y, hi.z - in}, {hi.x - in, y, hi.z - in}, {hi.x - in, y, lo.z + in}, m);
+    }
+    const CastScene c = cast(std::move(s), 1, 4096);
+    const uint32_t below = c.set.patchAt(0, false, {.6f, kY, .8f});
+    ASSERT_LT(below, c.set.patches.size());
+    EXPECT_NEAR(c.set.patches[below].area_m2, 1, 1e-4);
+    const PooledPatches pooled(c.rows, areasOf(c));
+    ExchangeRow row;
+    pooled.row(below, row);
+    EXPECT_TRUE(row.column.empty()) << size;
+  }
+}
+
 TEST(FormFactor, WhatOfASheetIsInAClosedBoxTakesNoPart) {
   // A closed box with a tongue through its side, half in and half out.
   Scene s;
