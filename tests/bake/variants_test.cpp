@@ -315,6 +315,22 @@ std::vector<Kind> kinds() {
                    return m;
                  }});
   all.back().cell_m = 0.5f;  // turned, patches lie across its halves
+  // A closed room with a lamp of 2 x 1 m in the plane of its ceiling, which has a hole for it or none; and two lamps that share a part of their plane.
+  const auto lamps = [](bool hole, std::vector<std::pair<float, float>> from_to, bool double_sided) {
+    return [=] {
+      Model m = openRoom();
+      const size_t grey = m.material(0.5, {{"doubleSided", double_sided}});
+      if (hole) m.add({flat(0, 1, kHigh, 0, kWhole, false), flat(3, kWhole, kHigh, 0, kWhole, false), flat(1, 3, kHigh, 0, 1, false), flat(1, 3, kHigh, 2, kWhole, false)}, grey);
+      else m.add({flat(0, kWhole, kHigh, 0, kWhole, false)}, grey);
+      const size_t bright = m.material(0, {{"emissiveFactor", {1, 1, 1}}, {"doubleSided", double_sided}});
+      for (const auto& [from, to] : from_to) m.add({flat(from, to, kHigh, 1, 2, false)}, bright);
+      return m;
+    };
+  };
+  for (const bool double_sided : {false, true}) {
+    all.push_back({"a lamp in the plane of its ceiling", lamps(false, {{1.0f, 3.0f}}, double_sided), lamps(true, {{1.0f, 3.0f}}, double_sided)});
+    all.push_back({"lamps that overlap", lamps(true, {{1.0f, 2.5f}, {1.5f, 3.0f}}, double_sided), lamps(true, {{1.0f, 3.0f}}, double_sided)});
+  }
   all.push_back({"unlit surfaces", [] {
                    Model m;
                    m.add(roomFaces(), m.material(0.5, {{"extensions", {{"KHR_materials_unlit", Json::object()}}}}));
