@@ -43,6 +43,7 @@ class BackgroundStreamer final : public Streamer {
   bool update(const Observers& observers) override {
     (void)forgetHints(expected_);
     observers_ = observers;
+    updated_ = true;
     std::unique_lock lock(mutex_, std::try_to_lock);
     if (!lock) return false;  // whoever has it may have lost its core: the next frame
     const bool changed = takeUp();
@@ -75,7 +76,7 @@ class BackgroundStreamer final : public Streamer {
 
   StreamStats stats() const override {
     StreamStats stats = stats_taken_;
-    stats.pending_tiles += taken_ == 0 ? asked_.number > 0 : observers_.movedBy(jump_m_, looked_at_taken_);
+    stats.pending_tiles += taken_ == 0 ? updated_ : observers_.movedBy(jump_m_, looked_at_taken_);
     return stats;
   }
   std::string lastFailure() const override { return of_->lastFailure(); }
@@ -165,6 +166,7 @@ class BackgroundStreamer final : public Streamer {
   Observers observers_, looked_at_taken_;
   StreamStats stats_taken_;
   uint64_t taken_ = 0;   // number of what stats_taken_ came of
+  bool updated_ = false;  // ever, whether the thread was told of it or not
   Lead lead_;
   const float jump_m_;
   // The thread's, while it does not hold the lock.
