@@ -405,9 +405,7 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
     const Rim of_a = rim(a, shared.side_p, height), of_b = rim(b, shared.side_q, height);
     const auto seen = [&](double at) {
       const Point p = shared.line.a + edge * std::clamp(at, 0.0, 1.0);
-      const Vec3 from = metres(of_a.eye(p)), to = metres(of_b.eye(p));
-      const float way = ff::length(to - from);
-      return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+      return isClear(metres(of_a.eye(p)), metres(of_b.eye(p)));
     };
     for (int k = 0; k < kLooks; ++k) {
       const double at = (k + 0.5) / kLooks;
@@ -420,6 +418,11 @@ bool Fences::isOpen(PieceSide a, PieceSide b, const SharedBorder& shared) const 
   return seesAcross(std::max(lowOf(a.piece->triangle), lowOf(b.piece->triangle)));
 }
 
+bool Fences::isClear(Vec3 from, Vec3 to) const {
+  const float way = ff::length(to - from);
+  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+}
+
 bool Fences::sees(PieceSide a, PieceSide b) const {
   const auto eye = [&](PieceSide s) {
     const uint32_t t = s.piece->triangle;
@@ -427,9 +430,7 @@ bool Fences::sees(PieceSide a, PieceSide b) const {
   };
   const Point from_cells = eye(a), to_cells = eye(b);
   if (hides(a, from_cells, to_cells) || (scene_.backs != Backs::kPass && hides(b, to_cells, from_cells))) return false;
-  const Vec3 from = metres(from_cells), to = metres(to_cells);
-  const float way = ff::length(to - from);
-  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+  return isClear(metres(from_cells), metres(to_cells));
 }
 
 bool Fences::shareSpace(PieceSide a, PieceSide b) const {
@@ -441,9 +442,7 @@ bool Fences::shareSpace(PieceSide a, PieceSide b) const {
     const Hit hit = caster_.nearest({from, along}, most);
     return from + along * (0.5f * (hit.triangle == kNone ? most : std::min(most, ff::length(hit.point - from))));
   };
-  const Vec3 from = away(a), to = away(b);
-  const float way = ff::length(to - from);
-  return !(way > 0) || !caster_.occluded({from, (to - from) / way}, way);
+  return isClear(away(a), away(b));
 }
 
 // Whether a piece itself is in the way from the eye a hair above its middle to another point: where that is clear, no ray need be cast. Rounding to single

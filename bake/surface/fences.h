@@ -98,6 +98,7 @@ class Fences {
  private:
   struct Found;
   Found find(const Piece& piece) const;
+  bool isClear(Vec3 from, Vec3 to) const;  // whether nothing is between two points, m
   bool hides(PieceSide of, const Point& eye, const Point& to) const;
   std::array<Point, 3> cornersOf(uint32_t triangle) const;
   Point normalOf(uint32_t triangle) const;

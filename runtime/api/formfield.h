@@ -234,8 +234,9 @@ const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots);
 /* Irradiance, W/m2, of a small surface at each point that faces along its normal (of any length): what surfaces around
  * reflect and emit, and the sky; not the caller's direct light. For characters and all else that moves. points,
  * normals, irradiance: three floats each. Points near the observer are answered best. Walls keep light out. Remembered
- * points are cheap; new ones cost probe_rays rays, and up to 144 where surfaces that emit are near. Changes with the last frame's light. A point that is not finite, or
- * a normal that is not or that is zero, is answered with zero and counted (FormfieldStats::samples_refused). */
+ * points are cheap; new ones cost probe_rays rays, and up to 144 where surfaces that emit are near. Changes with the last
+ * frame's light. A point that is not finite, or a normal that is not or that is zero, is answered with zero and counted
+ * (FormfieldStats::samples_refused). */
 FormfieldResult formfieldSample(FormfieldWorld world, uint32_t count, const float* points, const float* normals,
                                 float* irradiance);
 

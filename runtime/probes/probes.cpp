@@ -225,7 +225,6 @@ void Probes::aimAtLamps(Vec3 point, Vec3 normal) {
     for (const uint32_t f : aim.tile->ofPatch(aim.lamp->index)) aim.area_m2 += areaOf(aim.tile->facets[f]);
     return !(aim.area_m2 > 0);
   });
-  std::ranges::sort(aims_, isMore);
 }
 
 Probes::Met Probes::meet(const RayLine& ray, uint32_t number) const {
