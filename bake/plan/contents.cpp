@@ -93,8 +93,6 @@ uint64_t Contents::triangleDigest(uint32_t t) const {
   return formats::hashBytes(b.data());
 }
 
-uint64_t Contents::patchName(uint32_t patch) const { return patch == kNone || patch == kSealed ? patch : set_.patches[patch].name; }
-
 void Contents::addPieces() {
   struct Held {
     uint32_t cube, piece;  // pieces are by triangle: those of a cube keep their order
@@ -106,13 +104,19 @@ void Contents::addPieces() {
   const auto margin = static_cast<float>(std::max(kMarginCells * static_cast<double>(set_.cell_m), kMarginUnits * 0x1p-24 * largest));
   PagedVector<Held> held;
   uint32_t number = 0;
-  set_.eachPiece([&](uint32_t triangle, const Box& cell_box, const auto& piece, const auto& rims) {
+  // What a ray finds on a side of a piece, but for which patch: keptTrail() has the patches that are met.
+  const auto finds = [](uint32_t patch) { return patch == kNone || patch == kSealed ? patch : 0; };
+  set_.eachCut([&](uint32_t triangle, const Box& cell_box, const auto& pieces, const auto& outline) {
     ByteWriter b;
     b.u64(triangle_[triangle]);
-    for (const int32_t x : piece.cell) b.u32(static_cast<uint32_t>(x));
-    for (const uint32_t patch : piece.patch) b.u64(patchName(patch));
-    for (const auto& rim : rims)
-      for (const Point& p : {rim.at, rim.inward}) b.f64(p.x), b.f64(p.y), b.f64(p.z);
+    for (const int32_t x : pieces.front().cell) b.u32(static_cast<uint32_t>(x));
+    const bool alike = std::ranges::all_of(pieces, [&](const auto& piece) { return std::ranges::equal(piece.patch, pieces.front().patch, {}, finds, finds); });
+    for (const auto& piece : alike ? pieces.first(1) : pieces) {  // so that it does not count where others cut it
+      for (const uint32_t patch : piece.patch) b.u32(finds(patch));
+      if (!alike)
+        for (const auto& side : outline(piece))
+          for (const Point& p : {side.at, side.inward}) b.f64(p.x), b.f64(p.y), b.f64(p.z);
+    }
     const uint64_t digest = formats::hashBytes(b.data());
     Box box;
     for (const uint32_t v : scene_.triangles[triangle].v) box.add(scene_.positions[v]);

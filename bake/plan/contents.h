@@ -1,5 +1,5 @@
-// What stands where, as digests: what rays can meet in each cube of the world, and the patches of each range that is cast together. Equal
-// digests: rays that stay there find the same, whatever it emits (lamp_digests.h).
+// What stands where, as digests: what rays can meet in each cube of the world, whatever patches that is cut into, and the patches of small cubes. Equal
+// digests of where rays went and of the patches that they met: they find the same, whatever it emits (lamp_digests.h).
 #pragma once
 #include <cstdint>
 #include <span>
@@ -15,7 +15,7 @@ namespace ff::bake {
 
 inline constexpr int kCubeLog = 1;  // cells a side, at least; more where the box would have more than kMaxCubes
 inline constexpr double kMaxCubes = 1 << 26;
-inline constexpr int kMetLog = 2;   // cells a side of a cube whose patches are looked at together, log2
+inline constexpr int kMetLog = 1;   // cells a side of a cube whose patches are looked at together, log2
 
 class Contents {
  public:
@@ -57,7 +57,6 @@ class Contents {
   uint64_t blockDigest(const Block& block) const;
   uint64_t materialDigest(const Material& material) const;
   uint64_t triangleDigest(uint32_t t) const;
-  uint64_t patchName(uint32_t patch) const;
 
   const Scene& scene_;
   const PatchSet& set_;

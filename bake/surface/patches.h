@@ -75,7 +75,7 @@ class PatchSet {
     return searchPatch(t, front, p);
   }
 
-  // What patchAt() and eachPiece() need; once all rays are cast nobody does.
+  // What patchAt() and eachCut() need; once all rays are cast nobody does.
   void forgetPieces() {
     release(piece_start_);
     release(fineness_);
@@ -83,16 +83,19 @@ class PatchSet {
     release(rims_);
   }
 
-  // f(triangle of the scene, box of the piece's cell in m, piece, its outline) for every piece, by triangle. Of a piece: cell, and patch[2], as
-  // patchAt() says for its front and back; of a side of the outline, which is empty where a triangle has one piece in a cell: at, inward; in cells.
+  // f(triangle of the scene, box of a cell in m, pieces of the triangle there, outline) for every cell that a triangle has pieces in, by triangle, cells
+  // ascending. Of a piece: cell, and patch[2], as patchAt() says for its front and back; outline(piece) are its sides, none where it is the only one there: of
+  // each at, inward; in cells.
   template <class F>
-  void eachPiece(F f) const {
+  void eachCut(F f) const {
     for (uint32_t t = 0; t + 1 < piece_start_.size(); ++t)
-      for (uint32_t k = piece_start_[t]; k < piece_start_[t + 1]; ++k) {
-        const CutPiece& piece = pieces_[k];
+      for (uint32_t k = piece_start_[t], end = k; k < piece_start_[t + 1]; k = end) {
+        while (end < piece_start_[t + 1] && pieces_[end].cell == pieces_[k].cell) ++end;
+        const Cell& cell = pieces_[k].cell;
         const float edge_m = cell_m * static_cast<float>(edgeCells(fineness_[t]));
-        const Vec3 lo{static_cast<float>(piece.cell[0]), static_cast<float>(piece.cell[1]), static_cast<float>(piece.cell[2])};
-        f(t, Box{lo * edge_m, (lo + Vec3{1, 1, 1}) * edge_m}, piece, std::span(rims_).subspan(piece.first_rim, piece.rims));
+        const Vec3 lo{static_cast<float>(cell[0]), static_cast<float>(cell[1]), static_cast<float>(cell[2])};
+        f(t, Box{lo * edge_m, (lo + Vec3{1, 1, 1}) * edge_m}, std::span(&pieces_[k], end - k),
+          [this](const CutPiece& piece) { return std::span(rims_).subspan(piece.first_rim, piece.rims); });
       }
   }
 
