@@ -23,10 +23,16 @@ class CpuGather final : public Solver {
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* per_slot : {&from_, &to_, &before_, &source_}) per_slot->reserve(kMaxSlots);
+    entering_.reserve(kMaxSlots / 16);
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
+    if (all)
+      entering_.clear();
+    else
+      std::erase_if(entering_, [&](const SlotRange& range) { return std::ranges::find(change.left, range.first_slot, &SlotRange::first_slot) != change.left.end(); });
+    enter();
     // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
     for (auto* per_slot : {&from_, &to_}) {
       if (all)
@@ -42,20 +48,9 @@ class CpuGather final : public Solver {
     if (all) stepped_ = false;
     if (all) held_.touch(matrix.most_slots);
     held_.rowsChanged(matrix.slots(), stepped_);
+    shows_parents_light_ = held_.due();
     if (!all)
-      for (const uint32_t t : change.entered) {  // parents first
-        const SlotRange& range = matrix.tiles[t];
-        for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
-          const uint32_t parent = matrix.parent_slot[s];
-          held_.enter(s);
-          if (parent == kNoSlot)
-            from_[s] = {};
-          else if (held_.due())
-            inherit(s, parent);
-          else
-            from_[s] = from_[parent];
-        }
-      }
+      for (const uint32_t t : change.entered) entering_.push_back(matrix.tiles[t]);  // parents first
     pace_.forget();
     return {};
   }
@@ -81,6 +76,7 @@ class CpuGather final : public Solver {
 
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
     FF_CHECK_EQ(radiosity.size(), from_.size());
+    enter();
     repaired_ += copySound(radiosity, from_);
     stepped_ = false;
     held_.letGo();
@@ -93,6 +89,7 @@ class CpuGather final : public Solver {
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = Clock::now();
+    enter();
     if (held_.due()) hold();
     if (held_.holds()) release();
     for (int i = 0; i < k; ++i) step();
@@ -104,6 +101,7 @@ class CpuGather final : public Solver {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     if (!pace_.suits(k)) return iterate(k);
     const auto start = Clock::now();
+    enter();
     step();
     const double first = lastChange();
     step();
@@ -120,6 +118,7 @@ class CpuGather final : public Solver {
 
   Result<void> radiosity(std::span<Vec4> out) override {
     FF_CHECK_EQ(out.size(), from_.size());
+    enter();
     std::copy(from_.begin(), from_.end(), out.begin());
     return {};
   }
@@ -137,6 +136,28 @@ class CpuGather final : public Solver {
     });
   }
 
+  // What nodes that have entered start from, on all threads, and so when they are next asked for: with the next step, as a rule.
+  void enter() {
+    for (size_t first = 0, end = 0; first < entering_.size(); first = end) {
+      while (end < entering_.size() && entering_[end].id.level == entering_[first].id.level) ++end;
+      pool_.run(static_cast<uint32_t>(end - first), [&](uint32_t tile) { enter(entering_[first + tile]); });
+    }
+    entering_.clear();
+  }
+
+  void enter(const SlotRange& range) {
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      const uint32_t parent = matrix_->parent_slot[s];
+      held_.enter(s);
+      if (parent == kNoSlot)
+        from_[s] = {};
+      else if (shows_parents_light_)
+        inherit(s, parent);
+      else
+        from_[s] = from_[parent];
+    }
+  }
+
   // A node that enters shows the irradiance that its parent had.
   void inherit(uint32_t slot, uint32_t parent) {
     for (auto* per_slot : {&from_, &to_}) {
@@ -148,6 +169,7 @@ class CpuGather final : public Solver {
   // The last step, made with the new rows, would have come to something else than it did: what it did stays, and the difference is held back. (to_ has what
   // that step came from.)
   void hold() {
+    enter();
     before_.resize(to_.size());
     forLeaves([&](std::span<const uint32_t> leaves, uint32_t begin, uint32_t end) {
       (void)kernel_(jobOf(source_, to_, before_), begin, end);
@@ -240,6 +262,8 @@ class CpuGather final : public Solver {
   bool before_is_clear_ = false;     // of what free slots had when they were taken
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
+  std::vector<SlotRange> entering_;   // since enter(); the coarsest level of an update first
+  bool shows_parents_light_ = false;  // of these
   SemiIteration pace_;
   uint64_t repaired_ = 0;
   double last_ms_ = 0;

@@ -138,6 +138,31 @@ TEST(CpuGather, GivesTheSameBitsForEveryNumberOfThreads) {
   }
 }
 
+TEST(CpuGather, WhatEntersStartsFromTheSameLightWheneverThatIsAskedFor) {
+  for (const uint32_t frames : {0u, 8u}) {
+    const TestWorld test({.side = 32, .tile_nodes = 32, .seed = 8});
+    MatrixAssembler assembler(test.world());
+    const auto asked = makeCpuGather(1), late = makeCpuGather(3);
+    for (uint64_t change = 0; change < 24; ++change) {
+      SCOPED_TRACE(change);
+      ASSERT_TRUE(assembler.update(test.randomCut(change % 5 == 4 ? 1.0 : 0.5, change, change % 3 == 1)));
+      const LocalMatrix& m = assembler.matrix();
+      const std::vector<Vec4> source = randomSource(m.slots(), change);
+      std::vector<Vec4> a(m.slots()), b(m.slots());
+      for (Solver* solver : {asked.get(), late.get()}) {
+        solver->ease(frames);
+        ASSERT_TRUE(solver->update(m, assembler.change()));
+        ASSERT_TRUE(solver->setSource(source));
+      }
+      ASSERT_TRUE(asked->radiosity(a));
+      if (change % 3 != 2) continue;  // so that more enters, and some leaves again, before there is a step
+      for (Solver* solver : {asked.get(), late.get()}) ASSERT_TRUE(solver->iterate(1));
+      ASSERT_TRUE(asked->radiosity(a) && late->radiosity(b));
+      for (size_t s = 0; s < a.size(); ++s) ASSERT_TRUE(a[s].x == b[s].x && a[s].y == b[s].y && a[s].z == b[s].z) << "slot " << s;
+    }
+  }
+}
+
 TEST(CpuGather, VectorAndPortableKernelsAgree) {
   const GatherKernel fast = gatherAvx2();
   if (!fast) GTEST_SKIP() << "no AVX2 on this machine: the portable kernel is the only one";
