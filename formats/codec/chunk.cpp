@@ -175,6 +175,7 @@ Result<ChunkPtr> decodeChunk(const WorldInfo& world, const ChunkPtr& parent, uin
     r.box(child.bounds);
     readCounts(r, c.level, child.counts);
     if (octant > 7) return bad("has a child outside it");
+    c.child_octants.push_back(octant);
     for (size_t a = 0; a < 3; ++a) child.cell[a] = static_cast<int32_t>(static_cast<uint32_t>(c.cell[a]) * 2 + (octant >> a & 1u));
     child.bounds = plusCorner(child.bounds, corner);
     if (const char* fault = faultOf(child)) return bad(fault);

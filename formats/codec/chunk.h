@@ -42,6 +42,7 @@ struct Chunk : std::enable_shared_from_this<Chunk> {
   std::vector<uint8_t> parent_index;   // by node, in the order of tiles: index of its parent within the tile's parent tile. None at the coarsest level.
   std::vector<GeometryInfo> geometry;  // of level 0, by tile; none without drawing geometry
   std::vector<ChildChunk> children;    // in the world's order
+  std::vector<uint8_t> child_octants;  // of these: in which eighth of the chunk, a bit an axis, as a search asks of all of them; none of the root's
   std::vector<LevelCount> first;       // by level, 0 to its own: numbers of the first tile and node of all that lies in it
   mutable std::vector<std::weak_ptr<const Chunk>> children_here;  // World's, under its lock: of the children, those that somebody holds; empty until one was read
   ChunkPtr parent;                     // of the coarsest level's chunks: the root, which has no tiles and lies one level higher
