@@ -95,7 +95,7 @@ uint64_t Contents::triangleDigest(uint32_t t) const {
 
 void Contents::addPieces() {
   struct Held {
-    uint32_t cube, piece;  // pieces are by triangle: those of a cube keep their order
+    uint32_t cube, cut;  // cuts are by triangle: those of a cube keep their order
     uint64_t digest;
   };
   double largest = 0;
@@ -133,7 +133,7 @@ void Contents::addPieces() {
           if (box_.holds({x, y, z})) held.push_back({box_.number({x, y, z}), number, digest});
     ++number;
   });
-  tbb::parallel_sort(held.begin(), held.end(), [](const Held& a, const Held& b) { return std::pair(a.cube, a.piece) < std::pair(b.cube, b.piece); });
+  tbb::parallel_sort(held.begin(), held.end(), [](const Held& a, const Held& b) { return std::pair(a.cube, a.cut) < std::pair(b.cube, b.cut); });
   ByteWriter of_cube;
   for (size_t i = 0; i < held.size();) {
     const uint32_t cube = held[i].cube;

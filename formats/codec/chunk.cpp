@@ -240,9 +240,7 @@ std::vector<std::byte> encodeChunk(const WorldInfo& world, const Chunk& c) {
       }
     }
   for (const ChildChunk& child : c.children) {
-    uint32_t octant = 0;
-    for (size_t a = 0; a < 3; ++a) octant |= static_cast<uint32_t>(child.cell[a] & 1) << a;
-    w.u8(static_cast<uint8_t>(octant)), w.reserved(3);
+    w.u8(octantOf(child.cell)), w.reserved(3);
     ExtentRecord::fields(w, child.record);
     w.box(lessCorner(child.bounds, corner));
     writeCounts(w, child.counts);

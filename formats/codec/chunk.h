@@ -42,7 +42,7 @@ struct Chunk : std::enable_shared_from_this<Chunk> {
   std::vector<uint8_t> parent_index;   // by node, in the order of tiles: index of its parent within the tile's parent tile. None at the coarsest level.
   std::vector<GeometryInfo> geometry;  // of level 0, by tile; none without drawing geometry
   std::vector<ChildChunk> children;    // in the world's order
-  std::vector<uint8_t> child_octants;  // of these: in which eighth of the chunk, a bit an axis, as a search asks of all of them; none of the root's
+  std::vector<uint8_t> child_octants;  // of these, octantOf(): a search asks all of them; none of the root's
   std::vector<LevelCount> first;       // by level, 0 to its own: numbers of the first tile and node of all that lies in it
   mutable std::vector<std::weak_ptr<const Chunk>> children_here;  // World's, under its lock: of the children, those that somebody holds; empty until one was read
   ChunkPtr parent;                     // of the coarsest level's chunks: the root, which has no tiles and lies one level higher
@@ -95,6 +95,8 @@ std::string chunkText(uint32_t level, const ChunkCell& cell);
 
 // The chunk of the level above that holds a chunk.
 constexpr ChunkCell parentCell(const ChunkCell& cell) { return {cell[0] >> 1, cell[1] >> 1, cell[2] >> 1}; }
+// In which eighth of that it lies: a bit an axis.
+constexpr uint8_t octantOf(const ChunkCell& cell) { return static_cast<uint8_t>((cell[0] & 1) | (cell[1] & 1) << 1 | (cell[2] & 1) << 2); }
 
 // Reads a chunk's record, decompressed. parent: a chunk or the root, whose child number `child` it is. The record is checked against what
 // the parent says of it, and against itself. Errors carry no file name.

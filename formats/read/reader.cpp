@@ -234,9 +234,8 @@ Result<ChunkPtr> World::find(uint32_t level, const TileName& name, const ChunkPt
 Result<ChunkPtr> World::search(const Chunk& at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const {
   if (at.level == level) return holds(at, name.tile) ? at.shared_from_this() : ChunkPtr();
   const ChunkCell next = ancestorOf(name.chunk, level, at.level - 1);
-  const auto octant = static_cast<uint8_t>((next[0] & 1) | (next[1] & 1) << 1 | (next[2] & 1) << 2);
   for (uint32_t k = 0; k < at.children.size(); ++k) {
-    if (at.parent ? at.child_octants[k] != octant : !same(at.children[k].cell, next)) continue;
+    if (at.parent ? at.child_octants[k] != octantOf(next) : !same(at.children[k].cell, next)) continue;
     ChunkPtr below = absent ? childOf(at, k) : childHere(at, k);
     if (!below && absent) {
       absent->push_back({at.shared_from_this(), k});
