@@ -5,6 +5,8 @@
 #include <system_error>
 #include <utility>
 
+#include "stream/start_threads.h"
+
 namespace ff::runtime {
 namespace {
 
@@ -53,7 +55,7 @@ void Generation::listProbeTiles(std::vector<ProbeTile>& tiles) const {
 
 Reloader::Reloader(std::string path, float seconds, std::string known, const formats::World& shown, Open open)
     : path_(std::move(path)), seconds_(seconds), open_(std::move(open)), known_(std::move(known)), before_(shown.info()), checksum_(shown.checksum()) {
-  thread_ = std::thread([this] { work(); });
+  thread_ = stream::startThread([this] { work(); });
 }
 
 Reloader::~Reloader() {

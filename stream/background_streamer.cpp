@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "stream/start_threads.h"
+
 namespace ff::stream {
 namespace {
 
@@ -26,7 +28,7 @@ class BackgroundStreamer final : public Streamer {
     active_.assign(of->active().begin(), of->active().end());
     expected_.reserve(kMaxObservers);
     Streamer* const plain = of.get();
-    thread_ = std::thread([this, plain] { work(*plain); });
+    thread_ = startThread([this, plain] { work(*plain); });
     of_ = std::move(of);
   }
 

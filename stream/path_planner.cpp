@@ -6,6 +6,7 @@
 #include <new>
 #include <system_error>
 
+#include "stream/start_threads.h"
 #include "stream/wanted_tiles.h"
 
 namespace ff::stream {
@@ -64,7 +65,7 @@ Vec3 TurnRate::follow(Vec3 velocity, float seconds) {
 PathPlanner::PathPlanner(const formats::World& world, const StreamSettings& settings, std::span<const formats::ChunkPtr> top)
     : world_(world), settings_(settings), radius_m_(radiiOf(world, settings.radius_m, settings.growth)), top_(top.begin(), top.end()), ready_(std::make_unique<Plan>()) {
   try {
-    thread_ = std::thread([this] { work(); });
+    thread_ = startThread([this] { work(); });
   } catch (const std::system_error&) {
   }
 }

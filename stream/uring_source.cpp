@@ -16,6 +16,7 @@
 
 #include "stream/file_request.h"
 #include "stream/file_source.h"
+#include "stream/start_threads.h"
 
 namespace ff::stream {
 namespace {
@@ -48,7 +49,7 @@ class UringSource final : public TileSource {
       return refused("IORING_OP_READ", ENOSYS);
     }
     try {
-      thread_ = std::thread([this] { complete(); });
+      thread_ = startThread([this] { complete(); });
     } catch (const std::system_error& e) {
       io_uring_queue_exit(&ring_);
       return refused("thread", e.code().value());

@@ -7,6 +7,7 @@
 
 #include "runtime/cut/strip_list.h"
 #include "stream/latency.h"
+#include "stream/start_threads.h"
 
 namespace ff::runtime {
 
@@ -18,7 +19,7 @@ CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool bac
   back_ = std::make_unique<MatrixAssembler>(world, far_light);
   front_->swap(shown_);
   try {
-    thread_ = std::thread([this] { work(); });
+    thread_ = stream::startThread([this] { work(); });
   } catch (const std::system_error&) {
     front_->swap(shown_);
     back_.reset();

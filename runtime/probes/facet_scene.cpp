@@ -10,6 +10,8 @@
 #include <system_error>
 #include <tuple>
 
+#include "stream/start_threads.h"
+
 namespace ff::runtime {
 namespace {
 
@@ -133,7 +135,7 @@ FacetScenes::FacetScenes(const formats::World& world, uint64_t memory_bytes)
     : world_(world), memory_bytes_(memory_bytes) {
   if (!world.hasGeometry() || memory_bytes == 0) return;
   try {
-    thread_ = std::thread([this] { work(); });
+    thread_ = stream::startThread([this] { work(); });
   } catch (const std::system_error&) {
     starved_ = true;
   }

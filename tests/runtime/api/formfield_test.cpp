@@ -1,7 +1,11 @@
 #include "runtime/api/formfield.h"
 
+#include <sched.h>
+
 #include <cmath>
+#include <filesystem>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <thread>
@@ -107,6 +111,30 @@ TEST_F(Formfield, GivesTheLightOfTheRuntimeBeneath) {
   EXPECT_LT(stats().residual, 1e-6);
 }
 
+// Of this process; without the kernel's own, which a ring has.
+std::set<pid_t> threadsNow() {
+  std::set<pid_t> threads;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string name;
+    std::getline(std::ifstream(task.path() / "comm"), name);
+    if (!name.starts_with("iou-")) threads.insert(std::stoi(task.path().filename()));
+  }
+  return threads;
+}
+
+TEST_F(Formfield, ThreadsOfAWorldTakeNoCoreFromAFrame) {
+  if (sched_getscheduler(0) != SCHED_OTHER) GTEST_SKIP() << "the tests run under another policy of scheduling";
+  const std::set<pid_t> before = threadsNow();
+  open();
+  frame({30, 1, 30});
+  ASSERT_EQ(formfieldSettle(world_, 1e-4f, 100), FORMFIELD_OK);
+  std::map<int, int> threads;  // by policy
+  for (const pid_t thread : threadsNow())
+    if (!before.contains(thread)) ++threads[sched_getscheduler(thread)];
+  EXPECT_GE(threads[SCHED_BATCH], 4);  // that read, decode, plan and put matrices together
+  EXPECT_EQ(threads[SCHED_OTHER], 1);  // the solver's second, for which a frame waits
+}
+
 TEST_F(Formfield, SeveralObserversHaveOneWorld) {
   open();
   const FormfieldObserver all[] = {{{10, 1, 10}, {}}, {{50, 1, 40}, {}}};
@@ -158,6 +186,7 @@ TEST_F(Formfield, WhatIsExpectedIsThereWhenTheObserverJumps) {
     for (int i = 0; i < 50; ++i) {  // the place is looked at between two of them
       frame({50, 1, 40});
       late[expected] = std::max(late[expected], stats().late_tiles);
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
     const std::vector<FormfieldPlace> many(FORMFIELD_MAX_OBSERVERS + 1);
     EXPECT_EQ(formfieldExpect(world_, FORMFIELD_MAX_OBSERVERS, many.data()), FORMFIELD_OK);
