@@ -128,8 +128,9 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   const float seconds = frame_began_ == Clock::time_point{} ? 0 : std::min(std::chrono::duration<float>(begins - frame_began_).count(), kLongestFrame);
   frame_began_ = begins;
   frame_seconds_ += frame_seconds_ == 0 ? seconds : (std::min(seconds, kPause * frame_seconds_) - frame_seconds_) / 8;
+  const float until_built = cut_.latencySeconds() + kTurns * frame_seconds_;
   const float until_active = kBuilds * cut_.latencySeconds() + (kTurns + kSlack) * frame_seconds_;
-  streamer_.setLead({until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
+  streamer_.setLead({until_built, until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
   streamer_.update(observers);
   jumped_ |= observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers));
   const double stream_ms = msSince(start);

@@ -18,7 +18,7 @@ namespace {
 
 constexpr float kMaxSeconds = 3;         // a path is not foretold any farther
 constexpr float kLatencies = 4;          // so many reads one after the other, beyond StreamSettings::ahead_seconds
-constexpr float kFrameSeconds = 0.05f;   // the shell: what an observer may go in two reads and a few frames, in any direction
+constexpr float kFrameSeconds = 0.05f;   // the shell, beyond what is wanted for a turn: what an observer may go in two reads and a few frames, in any direction
 constexpr float kMinSpeed_m_s = 0.01f;
 constexpr float kMaxTurn = 3.14159265f;  // radians in all: nobody flies in circles that small for long
 constexpr uint32_t kPlansKept = 600;     // a chunk that so many plans have not looked at is forgotten
@@ -78,13 +78,13 @@ PathPlanner::~PathPlanner() {
   thread_.join();
 }
 
-void PathPlanner::aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, float lead_seconds) {
+void PathPlanner::aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, const Lead& lead) {
   if (!thread_.joinable()) return;
   {
     const std::lock_guard lock(mutex_);
     aim_.observers = observers;
     aim_.latency_seconds = latency_seconds;
-    aim_.lead_seconds = lead_seconds;
+    aim_.lead = lead;
     aim_.at = Clock::now();
     aim_.hint_count = hints.size();
     std::ranges::copy(hints, aim_.hints.begin());
@@ -149,11 +149,11 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
     // Half a radius a step: a tile on the way is nearer than its radius at one of them, or misses it by 3 % of that.
     const auto steps = static_cast<size_t>(std::clamp(std::ceil(speed * seconds / (0.5f * settings_.radius_m)), 4.0f, 64.0f));
     paths_.push_back({foretoldPath(observer.at, observer.velocity, turn, seconds, steps), seconds / static_cast<float>(steps),
-                      speed * (2 * aim.latency_seconds + kFrameSeconds), speed});
+                      speed * (2 * aim.latency_seconds + kFrameSeconds + aim.lead.turn_seconds), speed});
   }
   observers_ = aim.observers;
   margin_m_ = 0;
-  for (const Observer& observer : aim.observers) margin_m_ = std::max(margin_m_, length(observer.velocity) * aim.lead_seconds);
+  for (const Observer& observer : aim.observers) margin_m_ = std::max(margin_m_, length(observer.velocity) * aim.lead.shown_seconds);
   places_.clear();
   for (const Hint& hint : std::span(aim.hints).first(aim.hint_count))
     places_.push_back({hint.at, std::max(0.0f, std::chrono::duration<float>(hint.due - aim.at).count())});

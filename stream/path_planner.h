@@ -58,8 +58,8 @@ class PathPlanner {
 
   // The frame's: they allocate and free nothing.
   // latency_seconds: that reads take at present.
-  // hints: kMaxObservers at most; lead_seconds: Lead::shown_seconds. So far an observer who goes on as fast as the fastest wants more there, in whatever direction.
-  void aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, float lead_seconds);
+  // hints: kMaxObservers at most. lead: of what is wanted; so far as it goes with the fastest observer, more is wanted where hints are, in whatever direction.
+  void aim(const Observers& observers, std::span<const Hint> hints, float latency_seconds, const Lead& lead);
   // Whether take() has something new; no lock.
   bool fresh() const { return fresh_.load(); }
   // The newest plan, for one that is given back.
@@ -71,7 +71,8 @@ class PathPlanner {
   using Clock = std::chrono::steady_clock;
   struct Aim {
     Observers observers;
-    float latency_seconds = 0, lead_seconds = 0;
+    float latency_seconds = 0;
+    Lead lead;
     Clock::time_point at;
     std::array<Hint, kMaxObservers> hints;
     size_t hint_count = 0;

@@ -90,7 +90,7 @@ class StreamerImpl final : public Streamer {
     const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_.shown_seconds > 0 && turned);
     const bool retries = isRetryDue();
     const bool hinted = std::exchange(hinted_, false) || forgetHints(hints_);
-    if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_.shown_seconds);
+    if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_);
     const bool planned = planner_ && planner_->fresh();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
@@ -111,7 +111,8 @@ class StreamerImpl final : public Streamer {
   }
   std::span<const Hint> expected() const override { return hints_; }
   void setLead(const Lead& lead) override {
-    lead_.active_seconds = std::clamp(lead.active_seconds, 0.0f, 1.0f);
+    lead_.turn_seconds = std::clamp(lead.turn_seconds, 0.0f, 1.0f);
+    lead_.active_seconds = std::clamp(lead.active_seconds, lead_.turn_seconds, 1.0f);
     lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, 1.0f);
   }
   std::span<const StripPtr> active() const override { return active_; }

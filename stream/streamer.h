@@ -40,7 +40,8 @@ struct StreamSettings {
 
 // So long before an observer is near a tile is wanted: what whoever takes active() needs. At most 1 s each.
 struct Lead {
-  float active_seconds = 0;  // until a tile that is active counts
+  float turn_seconds = 0;    // whichever way it turns: what may be near in that time is wanted as far as budgets have room beside all else
+  float active_seconds = 0;  // on its way: until a tile that is active counts. Not less
   float shown_seconds = 0;   // until patches are shown by light of their own; not less. Coarser levels, which reach farther, have what is left of it at their radius
   friend bool operator==(const Lead&, const Lead&) = default;
 };

@@ -70,9 +70,11 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
 std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, const Lead& lead) {
   ++walks_;
   observers_ = observers;
+  turn_m_ = 0;
   for (size_t i = 0; i < observers_.size(); ++i) {
     const Vec3 velocity = observers_[i].velocity;
     const float speed = length(velocity);
+    turn_m_ = std::max(turn_m_, lead.turn_seconds * speed);
     for (size_t level = 0; level < radius_m_.size(); ++level) {
       // A tile needs its parent, so that each level goes as far ahead as level 0 at least.
       const float left = speed > 0 ? lead.shown_seconds - (radius_m_[level] - radius_m_[0]) / speed : 0;
@@ -132,6 +134,7 @@ void WantedTiles::admit(const Tile& tile) {
 }
 
 float WantedTiles::urgency(float distance, uint32_t level) const {
+  if (distance >= radius_m_[level]) return kTurn + distance - radius_m_[level];
   const float least = least_radius_m_[level];
   if (distance < least || !(radius_m_[level] > least)) return distance / least;
   return 1 + std::log(distance / least) / std::log(radius_m_[level] / least);  // linear in the growth's logarithm that would do, as a share of what there is
@@ -141,15 +144,17 @@ void WantedTiles::offerChildren(const Tile& parent) {
   const uint32_t level = parent.id.level - 1;
   const TileInfo& info = parent.info();
   const uint32_t child = parent.chunk->childWith(info.first_child);
-  const float wide = radius_m_[level] * settings_.hysteresis;
+  const float wide = std::max(radius_m_[level] * settings_.hysteresis, radius_m_[level] + turn_m_);
   if (distance(parent.chunk->children[child].bounds, level) >= wide) return;
   const formats::Chunk* chunk = look(*parent.chunk, child);
   if (!chunk) return;
   for (uint32_t t = info.first_child; t < info.end_child; ++t) {
-    const Tile tile{{level, t}, chunk};
-    const bool stays = contains(wanted_before_, tile.id);
-    const float away_m = distance(tile.info().bounds, level) / (stays ? settings_.hysteresis : 1);
-    if (!(away_m < radius_m_[level])) continue;
+    Tile tile{{level, t}, chunk};
+    const Tile* const before = find(wanted_before_, tile.id);
+    float away_m = distance(tile.info().bounds, level) / (before && !before->spare ? settings_.hysteresis : 1);
+    tile.spare = !(away_m < radius_m_[level]);
+    if (tile.spare) away_m = observers_.distance(tile.info().bounds);
+    if (!(away_m < radius_m_[level] + turn_m_)) continue;
     heap_.push_back({urgency(away_m, level), tile});
     std::push_heap(heap_.begin(), heap_.end());
   }

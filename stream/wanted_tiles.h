@@ -22,12 +22,13 @@ std::vector<float> radiiOf(const formats::World& world, float radius_0, float gr
 // are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of their urgency (their own or an ancestor's, whichever is larger), so a budget that runs out acts as
 // a smaller growth, down to kLeastGrowth of what it is above 1, and then as a smaller radius_m: max_nodes and memory_bytes end the walk,
-// max_level0_nodes only closes level 0.
+// max_level0_nodes only closes level 0. What is wanted for a turn alone (Lead::turn_seconds) comes after all else, and has no hysteresis of its own.
 class WantedTiles {
  public:
   struct Tile {
     formats::TileId id;
     const formats::Chunk* chunk = nullptr;  // here as long as the tile is wanted
+    bool spare = false;                     // for a turn alone
     const formats::TileInfo& info() const { return chunk->tiles[id.tile - chunk->firstTile()]; }
     formats::TileRef ref() const { return {chunk->shared_from_this(), id.tile - chunk->firstTile()}; }
   };
@@ -46,7 +47,7 @@ class WantedTiles {
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
   bool has(formats::TileId first_tile) const { return chunks_.contains(first_tile); }  // a chunk
   uint64_t bytes() const { return bytes_; }  // of the last walk's tiles, at most
-  bool isWanted(formats::TileId id) const { return contains(wanted_, id); }
+  bool isWanted(formats::TileId id) const { return find(wanted_, id); }
   // Tiles of a walk, at most.
   size_t maxWanted() const { return max_wanted_; }
   float radius(uint32_t level) const { return radius_m_[level]; }
@@ -67,12 +68,16 @@ class WantedTiles {
     formats::ChunkPtr chunk;
     uint32_t seen = 0;  // number of the last walk that looked at it
   };
-  static bool contains(std::span<const Tile> tiles, formats::TileId id) { return std::ranges::binary_search(tiles, id, {}, &Tile::id); }
+  static const Tile* find(std::span<const Tile> tiles, formats::TileId id) {
+    const auto at = std::ranges::lower_bound(tiles, id, {}, &Tile::id);
+    return at != tiles.end() && at->id == id ? &*at : nullptr;
+  }
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
   void admit(const Tile& tile);
   void offerChildren(const Tile& parent);
-  // Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2.
+  // Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2; beyond it from kTurn on, by the way that is left.
   float urgency(float distance, uint32_t level) const;
+  static constexpr float kTurn = 3;
   // To the nearest observer's way: near enough by its ends and its place that is nearest to the middle of the box.
   float distance(const Box& bounds, uint32_t level) const {
     float nearest = observers_.distance(bounds);
@@ -92,6 +97,7 @@ class WantedTiles {
   size_t max_wanted_ = 0;
   std::vector<float> radius_m_, least_radius_m_;  // per level; those of the least growth
   std::vector<Vec3> ways_;       // of the lead's time: by level and observer
+  float turn_m_ = 0;             // the fastest observer's way in the time of a turn
   TileMap<Here> chunks_;         // by their first tile
   uint32_t walks_ = 0;
   std::vector<Candidate> heap_;

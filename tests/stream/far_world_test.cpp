@@ -66,7 +66,7 @@ TEST_F(FarWorld, TheIndexOnTheWayIsReadALevelAtATime) {
   for (uint32_t k = 0; k < world->root()->children.size(); ++k) top.push_back(*world->child(world->root(), k));
   PathPlanner planner(*world, {.radius_m = 8, .ahead_seconds = 3}, top);
   storage_->trips = storage_->reads = 0;
-  planner.aim(Observer{{4, 1, 4}, {60, 0, 60}}, {}, 0, 0);
+  planner.aim(Observer{{4, 1, 4}, {60, 0, 60}}, {}, 0, {});
   planner.await();
   auto plan = std::make_unique<PathPlanner::Plan>();
   planner.take(plan);

@@ -76,12 +76,12 @@ class StreamerTest : public testing::Test {
     return parents;
   }
   // The wanted set by definition, from all tiles of the world. No budgets, no history.
-  std::vector<TileId> wantedByDefinition(Vec3 observer, float radius_m, float growth) const {
+  std::vector<TileId> wantedByDefinition(Vec3 observer, float radius_m, float growth, float beyond_m = 0) const {
     std::set<TileId> wanted;
     for (uint32_t level = top() + 1; level-- > 0;)
       for (const formats::TileInfo& info : world_->tiles(level)) {
         bool in =
-            level == top() || info.bounds.distance(observer) < radius_m * std::pow(growth, static_cast<float>(level));
+            level == top() || info.bounds.distance(observer) < radius_m * std::pow(growth, static_cast<float>(level)) + beyond_m;
         for (const TileId parent : parentsOf(info.id)) in = in && wanted.count(parent) != 0;
         if (in) wanted.insert(info.id);
       }
@@ -250,6 +250,33 @@ TEST_F(StreamerTest, TheLeadIsThatOfWhatIsShown) {
     if (id.level < 3) {
       EXPECT_LT(world_->tiles(id.level)[id.tile].bounds.distance(at), 6 * std::pow(1.6f, static_cast<float>(id.level)) + ahead_m[id.level] + 0.01f);
     }
+}
+
+TEST_F(StreamerTest, WhatATurnMayBringNearIsWantedAfterAllElse) {
+  std::mt19937_64 random(16);
+  const Vec3 velocity{20, 0, 0};
+  const auto nodes = [&](const std::vector<TileId>& tiles) {
+    uint32_t sum = 0;
+    for (const TileId id : tiles) sum += world_->tiles(id.level)[id.tile].nodes;
+    return sum;
+  };
+  size_t more = 0;
+  for (int i = 0; i < 30; ++i) {
+    const Vec3 at = randomPlace(random);
+    const auto settled = [&](float turn_seconds, uint32_t max_nodes) {
+      const auto streamer = make({.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f, .max_nodes = max_nodes}, memory());
+      streamer->setLead({.turn_seconds = turn_seconds, .active_seconds = 0.1f});
+      streamer->update(at, velocity);
+      EXPECT_TRUE(streamer->settle());
+      return ids(*streamer);
+    };
+    const auto on_the_way = settled(0, 60000), any_way = settled(0.1f, 60000);
+    EXPECT_TRUE(any_way == wantedByDefinition(at, 6, 1.6f, 2));
+    EXPECT_TRUE(std::ranges::includes(any_way, on_the_way));
+    more += nodes(any_way) > nodes(on_the_way);
+    EXPECT_TRUE(settled(0.1f, nodes(on_the_way)) == on_the_way);
+  }
+  EXPECT_GT(more, 20u);
 }
 
 TEST_F(StreamerTest, MemoryStaysWithinItsBudgetOnARandomWalkWithTeleports) {
@@ -612,7 +639,7 @@ TEST_F(StreamerTest, APlannerThatHasJustBeenAimedEnds) {
   for (int i = 0; i < 4000; ++i) {
     PathPlanner planner(*world_, kNoHistory, {});
     const auto until = std::chrono::steady_clock::now() + std::chrono::nanoseconds(50 * i);
-    do planner.aim(observers, {}, 0, 0);
+    do planner.aim(observers, {}, 0, {});
     while (std::chrono::steady_clock::now() < until);
   }
 }
