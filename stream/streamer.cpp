@@ -53,6 +53,7 @@ class StreamerImpl final : public Streamer {
         memory_bytes_(settings.memory_bytes) {
     if (settings.ahead_seconds > 0 || settings.hint_bytes > 0) planner_.emplace(world, settings, top);
     for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
+    stats_.reach = {settings.radius_m, settings.growth};
     failures_.reserve(64);
     chunk_failures_.reserve(64);
     previous_.reserve(wanted_.maxWanted());
@@ -132,6 +133,8 @@ class StreamerImpl final : public Streamer {
     stats.evicted = cache_.evicted();
     stats.reads += loader_.reads();
     stats.gap_bytes = loader_.gapBytes();
+    stats.peak_stored_bytes = loader_.peakStoredBytes();
+    stats.decode_ms = loader_.decodeMs();
     stats.cancelled = loader_.cancelled();
     stats.reads_held = loader_.readsHeld();
     stats.resident_bytes = cache_.bytes();
@@ -239,6 +242,11 @@ class StreamerImpl final : public Streamer {
 
   void walk() {
     const std::span<const WantedTiles::Tile> now = wanted_.walk(observers_, lead_);
+    stats_.reach = wanted_.reach();
+    if (stats_.first_short.short_of == Budget::kNone && stats_.reach.short_of != Budget::kNone) {
+      stats_.first_short = stats_.reach;
+      stats_.first_short_at = observers_[0].at;
+    }
     for (const TileId id : previous_) {
       if (wanted_.isWanted(id) || isAhead(id)) continue;
       cache_.setWanted(id, false);

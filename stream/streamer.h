@@ -46,15 +46,28 @@ struct Lead {
   friend bool operator==(const Lead&, const Lead&) = default;
 };
 
+// How much of what the settings ask for there was room for.
+enum class Budget : uint32_t { kNone, kNodes, kPatches, kMemory };  // max_nodes, max_level0_nodes, memory_bytes
+struct Reach {
+  float radius_m = 0, growth = 0;     // as if these had been asked for; about, where tiles that stay by hysteresis take room
+  Budget short_of = Budget::kNone;    // what ran out first; kNone: nothing
+  friend bool operator==(const Reach&, const Reach&) = default;
+};
+
 struct StreamStats {
   uint64_t reads = 0, strips_read = 0;     // strips that lie beside each other share a read
   uint64_t bytes_read = 0, gap_bytes = 0;  // of strips; of what lies between them and was read, too
   uint64_t evicted = 0, cancelled = 0, failed = 0;
   uint64_t resident_bytes = 0, peak_resident_bytes = 0;
+  uint64_t peak_stored_bytes = 0;  // of strips that were read and not decoded yet
+  double decode_ms = 0;            // of the decoding threads' time
   uint32_t resident_tiles = 0, wanted_tiles = 0, pending_tiles = 0;
   uint64_t reads_held = 0;   // that began later than they could have, for read_bytes_per_second
   uint32_t late_tiles = 0;   // wanted by the last update() and not active
   uint32_t ahead_tiles = 0;  // that the observer's path will want: read ahead, or to be
+  Reach reach;               // of the last update()
+  Reach first_short;         // the first one that was short of anything,
+  Vec3 first_short_at;       // and where its first observer was, m
 };
 
 class Streamer {

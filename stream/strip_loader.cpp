@@ -393,6 +393,8 @@ void StripLoader::handOut(uint32_t number, const SharedRead& shared, std::vector
       if (!read) read = std::make_shared<const std::vector<std::byte>>(std::move(bytes));
       const formats::Extent& extent = at->tile.info().strip;
       to_decode_.push_back({at->tile, read, shared.strips == 1 ? std::span(*read) : std::span(*read).subspan(extent.offset - shared.from, extent.stored_bytes)});
+      stored_bytes_ += to_decode_.back().bytes.size();
+      peak_stored_bytes_.store(std::max(peak_stored_bytes_.load(), stored_bytes_));
       at->read = 0;
     } catch (const std::bad_alloc&) {
       fail(at->id(), {ErrorCode::kIo, "", "", kOutOfMemory, ""}, 0);
@@ -407,11 +409,14 @@ void StripLoader::readAlone(uint32_t number) {
 
 void StripLoader::decode(const Stored& stored) {
   Result<StripPtr> strip = Error{ErrorCode::kIo, "", "", kOutOfMemory, ""};
+  const auto began = std::chrono::steady_clock::now();
   try {
     strip = decodeAndPack(world_, stored.tile, stored.bytes, {.cancelled = &cancel_reads_});
   } catch (const std::bad_alloc&) {  // also of the line that would say so
   }
+  decode_ns_.fetch_add(static_cast<uint64_t>(std::chrono::nanoseconds(std::chrono::steady_clock::now() - began).count()));
   const std::lock_guard lock(pipeline_mutex_);
+  stored_bytes_ -= stored.bytes.size();
   if (strip)
     arrive(stored.tile.id(), std::move(*strip), stored.bytes.size());
   else

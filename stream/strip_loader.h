@@ -78,6 +78,10 @@ class StripLoader {
   uint64_t reads() const { return reads_begun_.load(); }
   // What they have brought that lies between strips.
   uint64_t gapBytes() const { return gap_bytes_.load(); }
+  // What decoding has taken of its threads' time, ms.
+  double decodeMs() const { return 1e-6 * static_cast<double>(decode_ns_.load()); }
+  // Of strips that were read and not decoded yet, at most.
+  uint64_t peakStoredBytes() const { return peak_stored_bytes_.load(); }
   // From the start of a strip's read to its arrival, s: longestOfLate().
   float latencySeconds() const { return latency_seconds_.load(); }
   // The last strip that could not be read or decoded, as a line; empty: none yet. Allocates.
@@ -178,6 +182,7 @@ class StripLoader {
   std::vector<formats::TileId> sorted_;          // of incoming_
   std::vector<std::shared_ptr<const void>> retired_, incoming_retired_;
   std::deque<Stored> to_decode_;
+  uint64_t stored_bytes_ = 0;  // read and not decoded yet
   Error failure_;
   RateLimit limit_;
   const Now now_;
@@ -190,7 +195,7 @@ class StripLoader {
   // What is asked for is counted by the next of these before the one before forgets it, so that reading them in this order misses
   // none.
   std::atomic<uint32_t> submitted_count_{0}, queued_count_{0}, under_way_count_{0}, arrived_count_{0}, arrived_chunk_count_{0};
-  std::atomic<uint64_t> cancelled_{0}, reads_held_{0}, reads_begun_{0}, gap_bytes_{0};
+  std::atomic<uint64_t> cancelled_{0}, reads_held_{0}, reads_begun_{0}, gap_bytes_{0}, decode_ns_{0}, peak_stored_bytes_{0};
   std::atomic<float> latency_seconds_{0};
   std::atomic<uint32_t> wake_{0}, progress_{0};  // change when there may be work, or something to see
   std::vector<std::thread> threads_;

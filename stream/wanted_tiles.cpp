@@ -86,6 +86,7 @@ std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers,
   heap_.clear();
   missing_.clear();
   if (!asked_.empty()) asked_.clear();
+  reach_ = {settings_.radius_m, settings_.growth};
   bytes_ = 0;
   nodes_ = level0_nodes_ = 0;
   level0_closed_ = false;
@@ -95,16 +96,25 @@ std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers,
       for (const TileInfo& info : chunk->tiles) admit({info.id, chunk});
   while (!heap_.empty()) {
     std::pop_heap(heap_.begin(), heap_.end());
-    const Tile tile = heap_.back().tile;
+    const Candidate next = heap_.back();
+    const Tile& tile = next.tile;
     heap_.pop_back();
     if (tile.id.level == 0 && level0_closed_) continue;
     const TileInfo& info = tile.info();
-    if (nodes_ + info.nodes > settings_.max_nodes) break;
-    if (bytes_ + residentBytesBound(world_, info) > settings_.memory_bytes) break;
-    if (tile.id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes)
+    if (nodes_ + info.nodes > settings_.max_nodes) {
+      ranOut(Budget::kNodes, next);
+      break;
+    }
+    if (bytes_ + residentBytesBound(world_, info) > settings_.memory_bytes) {
+      ranOut(Budget::kMemory, next);
+      break;
+    }
+    if (tile.id.level == 0 && level0_nodes_ + info.nodes > settings_.max_level0_nodes) {
+      ranOut(Budget::kPatches, next);
       level0_closed_ = true;
-    else
+    } else {
       admit(tile);
+    }
   }
   std::sort(wanted_.begin(), wanted_.end(), [](const Tile& a, const Tile& b) { return a.id < b.id; });
   std::reverse(missing_.begin(), missing_.end());  // they were found nearest first
@@ -138,6 +148,14 @@ float WantedTiles::urgency(float distance, uint32_t level) const {
   const float least = least_radius_m_[level];
   if (distance < least || !(radius_m_[level] > least)) return distance / least;
   return 1 + std::log(distance / least) / std::log(radius_m_[level] / least);  // linear in the growth's logarithm that would do, as a share of what there is
+}
+
+void WantedTiles::ranOut(Budget budget, const Candidate& at) {
+  if (at.tile.spare) return;  // all that was asked for is there
+  if (reach_.short_of == Budget::kNone) reach_.short_of = budget;
+  const float least = 1 + kLeastGrowth * (settings_.growth - 1);
+  reach_.radius_m = std::min(reach_.radius_m, at.key * settings_.radius_m);
+  if (budget != Budget::kPatches) reach_.growth = least * std::pow(settings_.growth / least, std::clamp(at.key - 1, 0.0f, 1.0f));
 }
 
 void WantedTiles::offerChildren(const Tile& parent) {

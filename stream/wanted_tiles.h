@@ -47,6 +47,7 @@ class WantedTiles {
   void forget(std::vector<std::shared_ptr<const void>>& leaving);
   bool has(formats::TileId first_tile) const { return chunks_.contains(first_tile); }  // a chunk
   uint64_t bytes() const { return bytes_; }  // of the last walk's tiles, at most
+  const Reach& reach() const { return reach_; }  // of the last walk
   bool isWanted(formats::TileId id) const { return find(wanted_, id); }
   // Tiles of a walk, at most.
   size_t maxWanted() const { return max_wanted_; }
@@ -78,6 +79,8 @@ class WantedTiles {
   // Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2; beyond it from kTurn on, by the way that is left.
   float urgency(float distance, uint32_t level) const;
   static constexpr float kTurn = 3;
+  // A budget ran out at a candidate.
+  void ranOut(Budget budget, const Candidate& at);
   // To the nearest observer's way: near enough by its ends and its place that is nearest to the middle of the box.
   float distance(const Box& bounds, uint32_t level) const {
     float nearest = observers_.distance(bounds);
@@ -104,6 +107,7 @@ class WantedTiles {
   std::vector<Tile> wanted_, wanted_before_;  // by the last walk, by the one before; sorted
   std::vector<formats::ChildRef> missing_;
   TileSet asked_;                             // of missing_
+  Reach reach_;
   uint64_t bytes_ = 0;
   uint32_t nodes_ = 0, level0_nodes_ = 0;
   bool level0_closed_ = false;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdio>
 #include <system_error>
 #include <utility>
 
@@ -105,8 +106,6 @@ stream::StreamSettings streamSettings(const FormfieldWorldSettings& s) {
   return streaming;
 }
 
-constexpr float kRadiusCells = 12;  // where neither the settings nor a recommendation tell: a world may be in any unit
-
 // What the settings leave at its default is the recommendation's, where it has a say.
 void takeCut(const SolverChoice& choice, FormfieldWorldSettings& s) {
   FormfieldWorldSettings defaults;
@@ -188,7 +187,7 @@ Result<std::unique_ptr<Generation>> FormfieldWorld_T::openGeneration(SolverChoic
   if (!recommended) return recommended.error();
   FormfieldWorldSettings cut = settings;
   takeCut(*recommended, cut);
-  if (cut.radius_m == 0) cut.radius_m = kRadiusCells * opened->info().cell_m;
+  if (cut.radius_m == 0) cut.radius_m = stream::StreamSettings().radius_m * opened->info().cell_m;  // which are of patches of 1 m: a world may be in any unit
   GenerationSettings with{streamSettings(cut), {.frames = settings.fade_frames}, {}, settings.max_applied_tiles};
   if (settings.probes > 0) {
     with.probes.emplace();
@@ -214,6 +213,7 @@ void addCounts(const stream::StreamStats& more, stream::StreamStats& sum) {
   for (const auto count : {&stream::StreamStats::reads, &stream::StreamStats::gap_bytes, &stream::StreamStats::strips_read, &stream::StreamStats::bytes_read, &stream::StreamStats::evicted, &stream::StreamStats::cancelled,
                            &stream::StreamStats::failed, &stream::StreamStats::reads_held})
     sum.*count += more.*count;
+  sum.decode_ms += more.decode_ms;
 }
 void addCounts(const ProbeStats& more, ProbeStats& sum) {
   for (const auto count : {&ProbeStats::traced, &ProbeStats::kept, &ProbeStats::refused}) sum.*count += more.*count;
@@ -686,6 +686,10 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.reload_failures = w.reloader ? w.reloader->failures() : 0;
     report.reads = s.reads;
     report.gap_bytes = s.gap_bytes;
+    report.decode_ms = s.decode_ms;
+    report.peak_stored_bytes = s.peak_stored_bytes;
+    report.reached_radius_m = s.reach.radius_m;
+    report.reached_growth = s.reach.growth;
     const UploadedBytes uploaded = w.solver.solver->uploaded();
     report.uploaded_row_bytes = uploaded.rows;
     report.uploaded_light_bytes = uploaded.light;
@@ -745,6 +749,23 @@ const char* formfieldStreamFailure(FormfieldWorld world) {
     return {};
   });
   return world->stream_failure.c_str();
+}
+
+const char* formfieldBudgetWarning(FormfieldWorld world) {
+  if (!world) return "";
+  (void)guarded(world->device.error, [&]() -> Result<void> {
+    const stream::StreamStats s = world->streamStats();
+    const auto& origin = world->world().info().origin;
+    const auto at = [&](size_t a) { return origin[a] + static_cast<double>(s.first_short_at[static_cast<int>(a)]); };
+    constexpr const char* kNames[] = {"", "max_nodes", "max_patches", "memory_bytes"};
+    char text[256] = "";
+    if (s.first_short.short_of != stream::Budget::kNone)
+      std::snprintf(text, sizeof text, "%s ran out at (%.9g, %.9g, %.9g) m: there was room for a radius of %.3g m and a growth of %.3g; raise it, or ask for less",
+                    kNames[static_cast<size_t>(s.first_short.short_of)], at(0), at(1), at(2), static_cast<double>(s.first_short.radius_m), static_cast<double>(s.first_short.growth));
+    world->budget_warning = text;
+    return {};
+  });
+  return world->budget_warning.c_str();
 }
 
 const char* formfieldStorageWarning(FormfieldWorld world) {

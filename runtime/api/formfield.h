@@ -299,6 +299,9 @@ typedef struct FormfieldStats {
   uint64_t reads, gap_bytes;                   /* reads of strips: those that lie beside each other share one; bytes between strips that these brought */
   uint64_t uploaded_row_bytes, uploaded_light_bytes; /* to a Vulkan device, since the start: of what entered its rows; sources and what else is by slot. All of
                                                         these where the light changes, or the whole cut */
+  double decode_ms;                            /* of the decoding threads' time, since the start */
+  uint64_t peak_stored_bytes;                  /* of strips that were read and not decoded yet, at most */
+  float reached_radius_m, reached_growth;      /* radius_m and growth that the last frame's budgets had room for: those asked for, or less (formfieldBudgetWarning) */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);
@@ -316,6 +319,9 @@ const char* formfieldLightFault(FormfieldWorld world);
 /* The last strip that could not be read (or whether probes lacked memory for triangles), as a line; empty: none. Allocates; valid until the next
  * call. */
 const char* formfieldStreamFailure(FormfieldWorld world);
+/* That a budget (max_nodes, max_patches, memory_bytes) ran out, so that full resolution ends nearer to the observers than radius_m asks for or coarser levels do: where that was
+ * first, and what there was room for, as a line with its remedy. What is nearest has the room; FormfieldStats::reached_radius_m goes on. Empty: none did. Allocates; valid until the next call. */
+const char* formfieldBudgetWarning(FormfieldWorld world);
 /* What is wrong with where the world lies without being an error, as a line with its remedy: that what is read over http is not kept, since its folder cannot be
  * used (FORMFIELD_CACHE). Empty: nothing. Allocates; valid until the next call. */
 const char* formfieldStorageWarning(FormfieldWorld world);

@@ -150,7 +150,7 @@ struct FormfieldWorld_T {
   std::vector<ff::runtime::Vec4> radiosity;  // shownRadiosity(), unless
   bool recorded_unseen = false;              // a frame was recorded since that was asked
   std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
-  std::string stream_failure, reload_failure, storage_warning;
+  std::string stream_failure, reload_failure, budget_warning, storage_warning;
   std::optional<ff::runtime::Reloader> reloader;  // the first to go: its thread opens generations
 };
 

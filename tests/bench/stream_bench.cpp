@@ -33,6 +33,7 @@ using namespace ff::bench;
 constexpr double kFrameSeconds = 1.0 / 60;
 constexpr float kJump = 0.02f;
 constexpr int kFramesBefore = 24;
+constexpr int kFramesAfterTheft = 30;  // that what the host has taken may still make late
 
 struct Options {
   std::string world, reader, path, replay, solver = "gather";
@@ -64,6 +65,15 @@ uint64_t deviceBytes() {
   while (in >> name >> value)
     if (name == "read_bytes:") return value;
   return 0;
+}
+
+// Time that a virtual machine's host has given to others, of all cores together, in ticks of 10 ms.
+uint64_t stolenTicks() {
+  std::ifstream in("/proc/stat");
+  std::string name;
+  uint64_t user = 0, nice = 0, system = 0, idle = 0, iowait = 0, irq = 0, softirq = 0, steal = 0;
+  in >> name >> user >> nice >> system >> idle >> iowait >> irq >> softirq >> steal;
+  return steal;
 }
 
 void dropFromPageCache(const formats::World& world) {
@@ -156,6 +166,8 @@ std::string number(double x) {
 struct Flown {
   std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, near, far;
   std::vector<double> uploaded, uploaded_rows, uploaded_light;  // KiB a frame
+  double most_undisturbed_ms = 0;  // of frames in which the host took nothing
+  uint64_t late_after_theft = 0, stolen_ticks = 0;
   uint64_t frames = 0, frames_late = 0, late = 0, wanted = 0, frames_jump_near = 0, frames_jump_far = 0, changes = 0;
   SurfaceLight::Error near_error, far_error;
   uint32_t most_applied = 0;  // tiles that entered in a frame
@@ -228,7 +240,8 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     const stream::StreamStats before = streamer->stats();
     const auto frames = static_cast<int>(path.pass_seconds / kFrameSeconds);
     const auto start = Clock::now();
-    int jumped_at = -1;
+    int jumped_at = -1, stolen_at = -kFramesAfterTheft;
+    uint64_t stolen = stolenTicks();
     for (int f = 1; f <= frames; ++f) {
       if (options.stepped) {
         orExit(streamer->settle());
@@ -254,6 +267,11 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       const double frame_ms = msSince(began), frame_cpu_ms = threadMs() - cpu;
       const TimedSolver::Spent steps = solver.takeSteps(), update = solver.takeUpdate();
       flown.frame_ms.push_back(frame_ms - steps.wall_ms);
+      if (const uint64_t now_stolen = stolenTicks(); now_stolen != stolen) {
+        flown.stolen_ticks += now_stolen - std::exchange(stolen, now_stolen);
+        stolen_at = f;
+      }
+      if (stolen_at != f) flown.most_undisturbed_ms = std::max(flown.most_undisturbed_ms, flown.frame_ms.back());
       flown.frame_cpu_ms.push_back(frame_cpu_ms - steps.cpu_ms);
       flown.solver_update_cpu_ms.push_back(update.cpu_ms);
       const auto kib = [](uint64_t bytes) { return static_cast<double>(bytes) / 1024; };
@@ -269,6 +287,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       const uint64_t late = lateByDefinition(whole, settings, now.at, updater.matrix().tiles);
       flown.frames_late += late > 0;
       flown.late += late;
+      if (f - stolen_at < kFramesAfterTheft) flown.late_after_theft += late;
       flown.wanted += s.wanted_tiles;
       if (length(now.at - path.moment(pass, (f - 1) * kFrameSeconds).at) > 5) jumped_at = f;
       if (jumped_at >= 0 && late == 0) {
@@ -314,7 +333,8 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
   }
   print("stream.late_tiles", static_cast<double>(flown.late), "tiles", 0,
         note + "; tiles within their radius that were not active, summed over frames; in " + percent(flown.frames_late, flown.frames) + " of the frames, " +
-            percent(flown.late, flown.wanted) + " of the wanted tiles; " + std::to_string(flown.strips) + " strips read, " + std::to_string(flown.failed) + " failed, " +
+            percent(flown.late, flown.wanted) + " of the wanted tiles; " + std::to_string(flown.late_after_theft) + " of them in the half second after the host of this machine took its cores away (" +
+            std::to_string(10 * flown.stolen_ticks) + " ms in all); " + std::to_string(flown.strips) + " strips read, " + std::to_string(flown.failed) + " failed, " +
             std::to_string(flown.cancelled) + " dropped from the queue" + after);
   const auto cpu = [&](double share) {
     return number(quantile(flown.frame_cpu_ms, share)) + ", of these the solver's tables " + number(quantile(flown.solver_update_cpu_ms, share)) + "; on the clock the streamer " +
@@ -323,7 +343,7 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
   for (const auto& [metric, share, limit] : {std::tuple{"stream.frame_p50_ms", 0.5, std::nan("")}, std::tuple{"stream.frame_p99_ms", 0.99, 0.2},
                                              std::tuple{"stream.frame_max_ms", 1.0, 1.0}})
     print(metric, quantile(flown.frame_ms, share), "ms", limit,
-          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles",
+          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles; at most " + number(flown.most_undisturbed_ms) + " ms where the host of this machine took nothing",
           "cpu");
   if (quantile(flown.uploaded, 1) > 0)
     for (const auto& [metric, share] : {std::pair{"stream.uploaded_p50_kib", 0.5}, std::pair{"stream.uploaded_p99_kib", 0.99}, std::pair{"stream.uploaded_max_kib", 1.0}})

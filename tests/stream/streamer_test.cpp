@@ -220,6 +220,11 @@ TEST_F(StreamerTest, ABudgetOfNodesActsAsASmallerGrowthFirst) {
       ASSERT_TRUE(std::ranges::includes(settled, least));
       ASSERT_TRUE(std::ranges::includes(most, settled));
       less += settled.size() < most.size();
+      const Reach reach = streamer->stats().reach;
+      EXPECT_EQ(reach.short_of, settled.size() < most.size() ? Budget::kNodes : Budget::kNone);
+      EXPECT_TRUE(std::ranges::includes(settled, wantedByDefinition(at, reach.radius_m - 1e-3f, reach.growth - 1e-4f)));
+      EXPECT_GE(reach.growth, 1.4f - 1e-4f);
+      EXPECT_EQ(reach == (Reach{8, 1.6f}), settled.size() == most.size());
     }
     EXPECT_EQ(settledAt(*make({.radius_m = 8, .growth = 1.6f, .hysteresis = 1.0f, .max_nodes = nodes(most)}, memory()), at), most);
   }
@@ -249,6 +254,31 @@ TEST_F(StreamerTest, TheLeadIsThatOfWhatIsShown) {
   for (const TileId id : settled)
     if (id.level < 3) {
       EXPECT_LT(world_->tiles(id.level)[id.tile].bounds.distance(at), 6 * std::pow(1.6f, static_cast<float>(id.level)) + ahead_m[id.level] + 0.01f);
+    }
+}
+
+TEST_F(StreamerTest, SaysWhatBudgetsHaveRoomFor) {
+  for (const auto& [settings, budget] : {std::pair{StreamSettings{.radius_m = 12, .hysteresis = 1.0f, .max_level0_nodes = 200}, Budget::kPatches},
+                                         std::pair{StreamSettings{.radius_m = 12, .hysteresis = 1.0f, .memory_bytes = 200000}, Budget::kMemory},
+                                         std::pair{StreamSettings{.radius_m = 12, .hysteresis = 1.0f, .max_nodes = 600}, Budget::kNodes}})
+    for (const bool background : {false, true}) {
+      StreamSettings with = settings;
+      with.background = background;
+      const auto streamer = make(with, memory());
+      EXPECT_EQ(streamer->stats().reach, (Reach{12, settings.growth}));
+      const Vec3 at{32, 1, 32};
+      const auto settled = settledAt(*streamer, at);
+      const StreamStats stats = streamer->stats();
+      EXPECT_EQ(stats.reach.short_of, budget);
+      EXPECT_LT(stats.reach.radius_m, 12);
+      EXPECT_TRUE(std::ranges::includes(settled, wantedByDefinition(at, stats.reach.radius_m - 1e-3f, stats.reach.growth - 1e-4f)));
+      EXPECT_EQ(stats.first_short.short_of, budget);  // of a walk that knew less of the index, perhaps
+      EXPECT_EQ(stats.first_short_at, at);
+      (void)settledAt(*streamer, {10, 1, 10});
+      EXPECT_EQ(streamer->stats().first_short_at, at);  // said once
+      (void)settledAt(*streamer, {1e6f, 0, 0});
+      EXPECT_EQ(streamer->stats().reach.short_of, Budget::kNone);
+      EXPECT_EQ(streamer->stats().first_short.short_of, budget);
     }
 }
 

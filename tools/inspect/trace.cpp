@@ -114,6 +114,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   if (const auto code = frame(path->front())) return error(code, device.get());
   if (const auto code = formfieldSettle(world.get(), kSettled, kSettleIterations)) return error(code, device.get());
   const FormfieldStats before = statsNow();
+  float radius_m = before.reached_radius_m, growth = before.reached_growth;  // the least that budgets had room for
   Run now;
   const auto start = Clock::now();
   for (const RecordedFrame& at : *path) {
@@ -122,6 +123,8 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
     const FormfieldStats stats = statsNow();
     now.ms.push_back(stats.stream_ms + stats.matrix_ms);
     now.late.push_back(stats.late_tiles);
+    radius_m = std::min(radius_m, stats.reached_radius_m);
+    growth = std::min(growth, stats.reached_growth);
   }
   const FormfieldStats after = statsNow();
   if (!request.trace_path.empty())
@@ -143,7 +146,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
     j["recorded"] = known ? then.toJson() : nlohmann::json();
     j["replayed"].update({{"reads", after.reads - before.reads}, {"strips_read", after.strips_read - before.strips_read}, {"bytes_read", after.bytes_read - before.bytes_read},
                           {"reads_cancelled", after.reads_cancelled - before.reads_cancelled}, {"strips_failed", after.strips_failed - before.strips_failed},
-                          {"peak_resident_bytes", after.peak_resident_bytes}, {"fallbacks", after.fallbacks}});
+                          {"peak_resident_bytes", after.peak_resident_bytes}, {"peak_stored_bytes", after.peak_stored_bytes}, {"decode_ms", after.decode_ms - before.decode_ms}, {"fallbacks", after.fallbacks}, {"least_radius_m", radius_m}, {"least_growth", growth}});
     fmt::print(out.to, "{}\n", j.dump(2));
     return {};
   }
@@ -158,14 +161,17 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   line("frames with late tiles", [](const Run& run) { return fmt::format("{}", run.framesLate()); });
   fmt::print(out.to, "{:<38} {:.1f} MB in {} strips by {} reads, {} cancelled, {} failed\n", "read", read_mb, after.strips_read - before.strips_read, after.reads - before.reads, after.reads_cancelled - before.reads_cancelled,
              after.strips_failed - before.strips_failed);
-  fmt::print(out.to, "{:<38} {:.1f} MB\n", "memory of strips, at most", static_cast<double>(after.peak_resident_bytes) * 1e-6);
+  fmt::print(out.to, "{:<38} {:.1f} MB, {:.1f} MB not decoded yet\n", "memory of strips, at most", static_cast<double>(after.peak_resident_bytes) * 1e-6, static_cast<double>(after.peak_stored_bytes) * 1e-6);
+  fmt::print(out.to, "{:<38} {:.0f} ms of its threads' time\n", "decoding", after.decode_ms - before.decode_ms);
+  fmt::print(out.to, "{:<38} {:.3g} m, growth {:.3g}, at least\n", "radius that budgets had room for", radius_m, growth);
   fmt::print(out.to, "worst frames\n");
   for (const auto& w : worst) {
     fmt::print(out.to, "  at {:.3f} s  {:.2f} ms, {} late tile{}, observer at", w["seconds"].get<double>(), w["ms"].get<double>(), w["late_tiles"].get<uint32_t>(), w["late_tiles"] == 1 ? "" : "s");
     for (const auto& place : w["observers"]) fmt::print(out.to, " {:g},{:g},{:g}", place[0].get<double>(), place[1].get<double>(), place[2].get<double>());
     fmt::print(out.to, "\n");
   }
-  if (const std::string failure = formfieldStreamFailure(world.get()); !failure.empty()) fmt::print(out.to, "{}\n", failure);
+  for (const char* warning : {formfieldStreamFailure(world.get()), formfieldBudgetWarning(world.get())})
+    if (*warning) fmt::print(out.to, "{}\n", warning);
   return {};
 }
 

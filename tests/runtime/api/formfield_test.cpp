@@ -122,6 +122,25 @@ std::set<pid_t> threadsNow() {
   return threads;
 }
 
+TEST_F(Formfield, SaysWhatBudgetsHaveRoomFor) {
+  settings_.radius_m = 0;
+  open();
+  frame({30, 1, 30});
+  ASSERT_EQ(formfieldSettle(world_, 1e-4f, 100), FORMFIELD_OK);
+  EXPECT_EQ(stats().reached_radius_m, 16 * test_.world().info().cell_m);  // as the header says of 0
+  EXPECT_EQ(stats().reached_growth, settings_.growth);
+  EXPECT_STREQ(formfieldBudgetWarning(world_), "");
+  formfieldCloseWorld(std::exchange(world_, nullptr));
+  settings_.max_patches = 300;
+  open();
+  frame({30, 1, 30});
+  ASSERT_EQ(formfieldSettle(world_, 1e-4f, 100), FORMFIELD_OK);
+  EXPECT_LT(stats().reached_radius_m, 16 * test_.world().info().cell_m);
+  EXPECT_LE(stats().level0_leaves, 300u);
+  EXPECT_EQ(std::string(formfieldBudgetWarning(world_)).find("max_patches ran out at (30, 1, 30) m: there was room for a radius of "), 0u);
+  EXPECT_STREQ(formfieldBudgetWarning(nullptr), "");
+}
+
 TEST_F(Formfield, ThreadsOfAWorldTakeNoCoreFromAFrame) {
   if (sched_getscheduler(0) != SCHED_OTHER) GTEST_SKIP() << "the tests run under another policy of scheduling";
   const std::set<pid_t> before = threadsNow();
