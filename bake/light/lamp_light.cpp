@@ -1,6 +1,7 @@
 #include "bake/light/lamp_light.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -83,22 +84,25 @@ void LampLight::aim(uint32_t patch, uint32_t rays) {
   count_ = std::max({kLeastLampRays, max_rays_ / kLeastShare, static_cast<uint32_t>(std::min<double>(max_rays_, wanted))});
 }
 
-LampLight::Sample LampLight::sample(const SurfacePoint& from, double choice) const {
+LampTree::Choice LampLight::choose(double choice, size_t& aim) const {
   const double x = choice * cumulative_.back();
   const auto found = std::min(std::upper_bound(cumulative_.begin(), cumulative_.end(), x), cumulative_.end() - 1);
-  const auto a = static_cast<size_t>(found - cumulative_.begin());
-  const double before = a > 0 ? cumulative_[a - 1] : 0;
-  const double within = chance_[a] > 0 ? std::clamp((x - before) / chance_[a], 0.0, 0x1.fffffep-1) : 0.5;
+  aim = static_cast<size_t>(found - cumulative_.begin());
+  const double before = aim > 0 ? cumulative_[aim - 1] : 0;
+  return tree_.choose(aims_[aim].node, chance_[aim] > 0 ? std::clamp((x - before) / chance_[aim], 0.0, 0x1.fffffep-1) : 0.5);
+}
+
+LampLight::Sample LampLight::sample(const SurfacePoint& from, size_t aim, const LampTree::Choice& choice) const {
   Sample s;
-  s.aim = a;
-  s.to = tree_.point(aims_[a].node, static_cast<float>(within), from.u, from.v);
+  s.aim = aim;
+  s.to = tree_.point(choice, from.u, from.v);
   const Vec3 way = s.to.position - from.position;
   const double square = static_cast<double>(dot(way, way)), distance = std::sqrt(square);
   if (!(distance > 0)) return s;
   const double leaving = -static_cast<double>(dot(s.to.normal, way)) / distance;
   if (!(leaving > 0)) return s;
   s.arriving = std::max(0.0, static_cast<double>(dot(from.normal, way)) / distance);
-  s.density = chance_[a] * tree_.density(aims_[a].node, s.to.leaf) * square / leaving;
+  s.density = chance_[aim] * tree_.density(aims_[aim].node, s.to.leaf) * square / leaving;
   return s;
 }
 
@@ -106,9 +110,17 @@ void LampLight::castTowards(double offset) {
   samples_.clear();
   ways_.clear();
   way_to_.clear();
+  constexpr size_t kAtOnce = 16;
+  std::array<LampTree::Choice, kAtOnce> choices;
+  std::array<size_t, kAtOnce> aims;
   for (size_t k = 0; k < points_.size(); ++k) {
+    if (k % kAtOnce == 0) {
+      const size_t end = std::min(kAtOnce, points_.size() - k);
+      for (size_t i = 0; i < end; ++i) choices[i] = choose((static_cast<double>(k + i) + offset) / static_cast<double>(points_.size()), aims[i]);
+      for (size_t i = 0; i < end; ++i) tree_.fetch(choices[i]);
+    }
     const SurfacePoint& from = points_[k];
-    Sample& s = samples_.emplace_back(sample(from, (static_cast<double>(k) + offset) / static_cast<double>(points_.size())));
+    Sample& s = samples_.emplace_back(sample(from, aims[k % kAtOnce], choices[k % kAtOnce]));
     if (!(s.arriving > 0)) continue;
     const LampTree::Point& to = s.to;
     bool hole = false;  // points are spread over the whole, holes included

@@ -44,7 +44,9 @@ class LampLight {
     double arriving = 0;   // cosine at the patch; 0: dark
     double density = 0;    // per steradian of the whole mixture of aims
   };
-  Sample sample(const SurfacePoint& from, double choice) const;
+  // Of all aims, by their chances; choice: 0 to 1.
+  LampTree::Choice choose(double choice, size_t& aim) const;
+  Sample sample(const SurfacePoint& from, size_t aim, const LampTree::Choice& choice) const;
   // Sets samples_: of points_, one each, stratified by `offset`, 0 to 1; dark where something is in the way.
   void castTowards(double offset);
   void add(uint32_t leaf, double weight);

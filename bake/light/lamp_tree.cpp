@@ -57,6 +57,8 @@ LampTree::LampTree(const Scene& scene, const PatchSet& set, const RayCaster& cas
     if (set.patches[p].emits() && luminanceOf(set.patches[p].emission) > 0) emitters.push_back(p);
   if (emitters.empty()) return;
   nodes_.reserve(2 * emitters.size());
+  leaf_node_.reserve(emitters.size());
+  power_before_.reserve(emitters.size() + 1);
   build(emitters, kNone);  // patches are sorted by Hilbert key: halves are compact
 }
 
@@ -64,6 +66,7 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
   const auto at = static_cast<uint32_t>(nodes_.size());
   Node& node = nodes_.emplace_back();
   node.parent = parent;
+  node.first_leaf = static_cast<uint32_t>(leaf_node_.size());
   if (emitters.size() == 1) {
     leaf_of_[emitters[0]] = at;
     const Patch& p = set_.patches[emitters[0]];
@@ -79,6 +82,9 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
     }
     node.area_m2 = std::max(node.area_m2, 1e-30f);
     node.power = node.area_m2 * luminanceOf(p.emission);
+    leaf_node_.push_back(at);
+    power_before_.push_back(power_before_.back() + static_cast<double>(node.power));
+    node.end_leaf = static_cast<uint32_t>(leaf_node_.size());
     return at;
   }
   const uint32_t left = build(emitters.first(emitters.size() / 2), at);
@@ -91,7 +97,7 @@ uint32_t LampTree::build(std::span<const uint32_t> emitters, uint32_t parent) {
   whole.bounds.add(b.bounds);
   whole.normals = joined(a.normals, b.normals);
   whole.power = a.power + b.power;
-  whole.left_share = a.power / whole.power;
+  whole.end_leaf = b.end_leaf;
   return at;
 }
 
@@ -129,22 +135,23 @@ void LampTree::aimsOf(const Receiver& receiver, std::vector<Aim>& aims) const {
   }
 }
 
-LampTree::Point LampTree::point(uint32_t node, float u, float v, float w) const {
-  uint32_t at = node;
-  while (!nodes_[at].isLeaf()) {
-    const float left = nodes_[at].left_share;
-    if (u < left) {
-      u /= left;
-      at = nodes_[at].left;
-    } else {
-      u = (u - left) / (1 - left);
-      at = nodes_[at].right;
-    }
-  }
-  const auto first = triangles_.begin() + nodes_[at].first, last = first + nodes_[at].triangles;
-  const float m2 = std::min(u, 0x1.fffffep-1f) * nodes_[at].area_m2;
-  const LampTriangle& t = *std::min(std::upper_bound(first, last, m2, [](float x, const LampTriangle& of) { return x < of.cumulative_m2; }), last - 1);
-  return {pointInTriangle(t.a, t.b, t.c, v, w), t.normal, at, t.source, t.offset_m, t.cutout};
+LampTree::Choice LampTree::choose(uint32_t node, double u) const {
+  const auto before = power_before_.begin() + nodes_[node].first_leaf, end = power_before_.begin() + nodes_[node].end_leaf;
+  const double x = *before + u * (*end - *before);
+  const auto above = std::upper_bound(before + 1, end, x);  // at the leaf's end
+  const uint32_t leaf = leaf_node_[static_cast<size_t>(above - power_before_.begin()) - 1];
+  const auto* const of = reinterpret_cast<const char*>(&nodes_[leaf]);
+  __builtin_prefetch(of);
+  __builtin_prefetch(of + sizeof(Node) - 1);
+  return {leaf, std::clamp((x - above[-1]) / (*above - above[-1]), 0.0, 0x1.fffffep-1)};
+}
+
+LampTree::Point LampTree::point(const Choice& choice, float v, float w) const {
+  const Node& of = nodes_[choice.leaf];
+  const auto m2 = static_cast<float>(choice.share * static_cast<double>(of.area_m2));
+  const auto first = triangles_.begin() + of.first, last = first + of.triangles;
+  const LampTriangle& t = *std::min(std::upper_bound(first, last, m2, [](float m, const LampTriangle& triangle) { return m < triangle.cumulative_m2; }), last - 1);
+  return {pointInTriangle(t.a, t.b, t.c, v, w), t.normal, choice.leaf, t.source, t.offset_m, t.cutout};
 }
 
 }  // namespace ff::bake

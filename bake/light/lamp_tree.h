@@ -54,9 +54,16 @@ class LampTree {
     float offset_m = 0;               // RayCaster::surfaceOffset()
     bool cutout = false;              // of its material
   };
-  // A point of the branch, emitters by power, points uniformly over their area. u: chooses; v, w: place. All in [0, 1).
-  Point point(uint32_t node, float u, float v, float w) const;
-  // How densely point() of a branch falls on the patch of a leaf in it, 1/m2.
+  struct Choice {
+    uint32_t leaf;
+    double share;  // of its area: which of its triangles
+  };
+  // A point of a branch, emitters by power, points uniformly over their area. u: chooses; v, w: place. All in [0, 1). Leaves lie far apart in memory: who chooses many makes
+  // a step for all of them before the next, so that what one waits for comes while the others are chosen.
+  Choice choose(uint32_t node, double u) const;
+  void fetch(const Choice& choice) const { __builtin_prefetch(&triangles_[nodes_[choice.leaf].first]); }
+  Point point(const Choice& choice, float v, float w) const;
+  // How densely points of a branch fall on the patch of a leaf in it, 1/m2.
   double density(uint32_t node, uint32_t leaf) const {
     return static_cast<double>(nodes_[leaf].power) / static_cast<double>(nodes_[node].power) / static_cast<double>(nodes_[leaf].area_m2);
   }
@@ -69,7 +76,7 @@ class LampTree {
     Box bounds;
     Cone normals;
     float power = 0, area_m2 = 0;  // area: of leaves, holes included
-    float left_share = 0;          // of the power
+    uint32_t first_leaf = 0, end_leaf = 0;  // in the order of leaves
     uint32_t parent = kNone, left = 0, right = 0;
     uint32_t first = kNone, triangles = 0;  // of a leaf: in triangles_
     Vec3 emission;                 // of a leaf, as its group
@@ -91,6 +98,9 @@ class LampTree {
   const RayCaster& caster_;
   std::vector<Node> nodes_;
   std::vector<LampTriangle> triangles_;  // by leaf
+  // In the order of leaves. A branch's leaves follow each other, so that one is found among numbers that lie close together, not by a way down the tree.
+  std::vector<double> power_before_{0};  // of the leaves before; one more for the end
+  std::vector<uint32_t> leaf_node_;
   PagedVector<uint32_t> leaf_of_;
 };
 
