@@ -11,7 +11,9 @@
  * Ownership: handles are the caller's to destroy, worlds before their device. Pointers that functions return belong to
  *   the world and say how long they are valid. Strings and arrays passed in are copied or only read during the call.
  * Threads: a device and its worlds are used by one thread at a time (any). Callbacks come on the calling thread. The
- *   library's own threads read, decode, put matrices together and, on the CPU, share the solver's work.
+ *   library's own threads read, decode, put matrices together and, on the CPU, share the solver's work. All but those of
+ *   the solver leave the frame's thread its core when they are woken: their policy is SCHED_BATCH where that of the thread
+ *   that opened the world was SCHED_OTHER, else the same.
  * The frame path (formfieldFrame, formfieldRecord, formfieldSample, the setters and everything that only reads):
  *   allocates and frees nothing and waits for no file after formfieldOpenWorld, errors aside. formfieldFrame waits for
  *   the device that it runs on.
