@@ -50,7 +50,7 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
                  stream::Now now)
-    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, now_) {
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii()), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, now_) {
   const uint32_t most = mostSlots(world);
   const auto take = [most](auto& per_slot) {
     per_slot.reserve(kMaxSlots);
@@ -147,7 +147,7 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.waiting_tiles = budget_.waiting();
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
-  fade_.advance(matrix(), source_, observers);
+  fade_.advance(matrix(), observers);
   solver_.ease(fade_.frames());
   const auto iterated = solver_.iterate(iterations);
   cut_.begin();
@@ -253,12 +253,13 @@ Result<bool> Updater::followCut() {
     if (auto followed = cut_.next(wanted, fade_.fading()); !followed) return followed.error();
     if (!cut_.change().any && !missed_) continue;
     changed = true;
-    if (auto taken = takeUpChange(); !taken) return taken.error();
+    if (auto taken = takeUpChange(whole); !taken) return taken.error();
   } while (whole && !cut_.holds(wanted));
   return changed;
 }
 
-Result<void> Updater::takeUpChange() {
+// whole: nothing fades in.
+Result<void> Updater::takeUpChange(bool whole) {
   const LocalMatrix& m = matrix();
   const MatrixChange& change = cut_.change();
   Result<void> read;
@@ -289,7 +290,7 @@ Result<void> Updater::takeUpChange() {
   counts_.entries = m.used_entries;
   for (const SlotRange& range : m.tiles)
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
-  fade_.follow(m, change.renumbered ? std::span<const uint32_t>() : change.entered);
+  fade_.follow(m, whole || change.renumbered ? std::span<const uint32_t>() : change.entered);
 
   tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   told_ = missed_ ? &wholeMatrix() : &change;
@@ -380,7 +381,6 @@ bool Updater::isLight(uint32_t slot, const char* what, Vec3 value) {
 Result<void> Updater::relightAll() {
   const LocalMatrix& m = matrix();
   for (uint32_t t = 0; t < m.tiles.size(); ++t) light(t, light_changed_, lamps_changed_);
-  fade_.relit();
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
   if (lamps_changed_) {
     ++emission_change_;

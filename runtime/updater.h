@@ -105,7 +105,7 @@ class Updater {
 
  private:
   Result<bool> followCut();
-  Result<void> takeUpChange();
+  Result<void> takeUpChange(bool whole);
   void lightEntered(std::span<const uint32_t> entered);
   Result<void> tellSolver(const MatrixChange& change, bool goes_on);
   const MatrixChange& wholeMatrix();

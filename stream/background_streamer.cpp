@@ -23,7 +23,7 @@ constexpr int kLooks = 250;                    // that find nothing; then the th
 class BackgroundStreamer final : public Streamer {
  public:
   // Throws std::system_error where no thread can be started, and leaves `of` alone then.
-  BackgroundStreamer(std::unique_ptr<Streamer>& of, size_t max_active, float jump_m) : stats_taken_(of->stats()), jump_m_(jump_m), stats_(stats_taken_) {
+  BackgroundStreamer(std::unique_ptr<Streamer>& of, size_t max_active) : Streamer({of->radii().begin(), of->radii().end()}), stats_taken_(of->stats()), stats_(stats_taken_) {
     for (auto* list : {&active_, &ready_, &making_}) list->reserve(max_active);
     active_.assign(of->active().begin(), of->active().end());
     expected_.reserve(kMaxObservers);
@@ -78,7 +78,7 @@ class BackgroundStreamer final : public Streamer {
 
   StreamStats stats() const override {
     StreamStats stats = stats_taken_;
-    stats.pending_tiles += taken_ == 0 ? updated_ : observers_.movedBy(jump_m_, looked_at_taken_);
+    stats.pending_tiles += taken_ == 0 ? updated_ : observers_.movedBy(radii()[0], looked_at_taken_);
     return stats;
   }
   std::string lastFailure() const override { return of_->lastFailure(); }
@@ -170,7 +170,6 @@ class BackgroundStreamer final : public Streamer {
   uint64_t taken_ = 0;   // number of what stats_taken_ came of
   bool updated_ = false;  // ever, whether the thread was told of it or not
   Lead lead_;
-  const float jump_m_;
   // The thread's, while it does not hold the lock.
   std::vector<StripPtr> making_;
   // What is handed over.
@@ -190,8 +189,8 @@ class BackgroundStreamer final : public Streamer {
 
 }  // namespace
 
-std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active, float jump_m) try {
-  return std::make_unique<BackgroundStreamer>(of, max_active, jump_m);
+std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active) try {
+  return std::make_unique<BackgroundStreamer>(of, max_active);
 } catch (const std::system_error&) {
   return of;
 }

@@ -7,9 +7,9 @@
 
 namespace ff::stream {
 
-// What update() brings is of the observers of the call before. `of` is nobody
-// else's. max_active: tiles that are active at any time, at most. jump_m: observers who go farther at once are pending until their place was looked at.
+// What update() brings is of the observers of the call before; who goes farther at once than patches are wanted is pending until that place was looked at.
+// `of` is nobody else's. max_active: tiles that are active at any time, at most.
 // Returns `of` itself where the system has no thread.
-std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active, float jump_m);
+std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active);
 
 }  // namespace ff::stream

@@ -41,7 +41,8 @@ class StreamerImpl final : public Streamer {
  public:
   // top: the coarsest level's chunks.
   StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top, Now now)
-      : world_(world),
+      : Streamer(radiiOf(world, settings.radius_m, settings.growth)),
+        world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),
         cache_(settings.memory_bytes, settings.kept_bytes, wanted_.maxWanted() + kMoreCached),
@@ -427,7 +428,7 @@ Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, 
   if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
   if (!settings.background) return std::unique_ptr<Streamer>(std::move(streamer));
   const size_t most = streamer->maxActive();
-  return inBackground(std::move(streamer), most, settings.radius_m);
+  return inBackground(std::move(streamer), most);
 } catch (const std::system_error& e) {
   return Error{ErrorCode::kIo, world.path(), "", std::string("cannot start a thread: ") + e.what(), "close other programs, or raise the limit on processes"};
 } catch (const std::bad_alloc&) {

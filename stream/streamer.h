@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "formats/read/reader.h"
@@ -77,6 +78,8 @@ class Streamer {
   static Result<std::unique_ptr<Streamer>> create(const formats::World& world, const StreamSettings& settings,
                                                   std::unique_ptr<TileSource> source = nullptr, Now now = std::chrono::steady_clock::now);
   virtual ~Streamer() = default;
+  // Within which a tile is wanted, m, by level; less where a budget runs out.
+  std::span<const float> radii() const { return radii_m_; }
 
   // By an observer's velocity, and by how it turns, its path is foretold and read ahead; each keeps its number from call to call. Budgets are of all
   // together: where they run out, the same smaller radius is everybody's. Returns true if the active set has changed.
@@ -98,6 +101,12 @@ class Streamer {
   virtual StreamStats stats() const = 0;
   // The last strip that could not be read or decoded, as a line with its remedy; empty: none yet.
   virtual std::string lastFailure() const = 0;
+
+ protected:
+  explicit Streamer(std::vector<float> radii_m) : radii_m_(std::move(radii_m)) {}
+
+ private:
+  const std::vector<float> radii_m_;
 };
 
 }  // namespace ff::stream

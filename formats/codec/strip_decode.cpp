@@ -169,16 +169,16 @@ Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const Stri
   partners.resize(n);
   size_t i = 0;
   for (size_t c = 0; c < chunks; ++c) {
-    PartnerName partner;
-    for (size_t a = 0; a < 3; ++a)
-      partner.step[a] = static_cast<int32_t>(planeValue<uint32_t>(raw + layout.chunkSteps() + 4 * chunks * a, chunks, c));
+    ChunkCell to;
+    for (size_t a = 0; a < 3; ++a) to[a] = static_cast<int32_t>(planeValue<uint32_t>(raw + layout.chunkSteps() + 4 * chunks * a, chunks, c));
+    uint32_t tile = 0;
     const auto blocks = planeValue<uint32_t>(raw + layout.chunkBlocks(), chunks, c);
     if (blocks < 1 || blocks > n - i) return brokenStrip(info, "chunks of partners do not add up to the strip's blocks");
     for (const size_t first = i; i < first + blocks; ++i) {
       const auto step = planeValue<uint16_t>(raw + layout.blockSteps(), n, i);
       if (i > first && step == 0) return brokenStrip(info, "block " + std::to_string(i) + " repeats its partner tile");
-      partner.tile += step;
-      partners[i] = partner;
+      tile += step;
+      partners[i] = {to, tile};
     }
   }
   if (i != n) return brokenStrip(info, "chunks of partners do not add up to the strip's blocks");

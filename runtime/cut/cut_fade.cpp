@@ -11,29 +11,15 @@ namespace {
 using stream::StripPtr;
 
 constexpr size_t kMaxTiles = kMaxSlots / 16;
-constexpr float kStep = 0.03f;      // by what a node may change in a frame, over the mean of the finest level
-constexpr float kMaxFrames = 300;   // whatever there is to see
-constexpr uint32_t kMeanOf = 8;     // a node of so many tells the mean
-constexpr float kFar = 2;           // times as far away as when it began, a tile goes faster, by the square of the distance
-
-// The largest difference between a node and its parent, lit without a bounce.
-float hiddenBy(const LocalMatrix& matrix, const SlotRange& range, std::span<const Vec4> source) {
-  Vec4 most;
-  Float4& hidden = asFloat4(most);
-  for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
-    const uint32_t parent = matrix.parent_slot[slot];
-    if (parent == kNoSlot) continue;
-    const Vec4& own = source[slot];
-    const Vec4 above = onAlbedo(source[parent], matrix.albedo[parent], matrix.albedo[slot], own);
-    const Float4 more = asFloat4(own) - asFloat4(above), less = -more, differs = more < less ? less : more;
-    hidden = hidden < differs ? differs : hidden;
-  }
-  return std::max({most.x, most.y, most.z});
-}
+constexpr float kMaxFrames = 120;  // where nobody comes nearer or goes away
+// Of a level's radius:
+constexpr float kAtHand = 0.8f;    // nearer, a tile shows what it is
+constexpr float kLate = 0.9f;      // what enters nearer than that has not come by an observer's way
+constexpr float kGone = 0.4f;      // the way from where a tile leaves to where it shows nothing of its own
 
 }  // namespace
 
-CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
+CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()) {
   for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
@@ -41,11 +27,6 @@ CutFade::CutFade(const FadeSettings& settings) : settings_(settings) {
   fading_.reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
   order_.reserve(kMaxTiles);
-}
-
-CutFade::Tile* CutFade::find(formats::TileId id) {
-  const auto at = std::ranges::lower_bound(tiles_, id, {}, &Tile::id);
-  return at != tiles_.end() && at->id == id ? &*at : nullptr;
 }
 
 std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
@@ -115,7 +96,7 @@ void CutFade::listLeaving() {
     if (of == tiles_.end() || of->id != id) continue;  // one that leaves before it was ever there just goes
     Tile& tile = *of;
     const bool leaves = a == active_.size() || active_[a].id != id;
-    if (tile.leaving != leaves) tile.step = 0;
+    if (tile.leaving != leaves) tile.began_at_m = Tile::kUnknown;
     tile.leaving = leaves;
     if (leaves) leaving_.push_back({k, tile.weight, tile.weight > 0});
   }
@@ -163,57 +144,33 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
     const bool stays = old != tiles_before_.end() && old->id == range.id;
     tiles_.push_back(stays ? *old : Tile{range.id});
   }
-  for (const uint32_t t : entered) {  // parents first: light that is blended itself goes on as it is shown
-    if (matrix.parent_slot[matrix.tiles[t].first_slot] == kNoSlot) continue;
-    const Tile* const parent = find({tiles_[t].id.level + 1, matrix.packed[t].strip->tile.info().parent_tile});
-    if (parent && parent->weight < 1) tiles_[t].weight = 0;
-  }
+  for (const uint32_t t : entered)
+    if (matrix.parent_slot[matrix.tiles[t].first_slot] != kNoSlot) tiles_[t].weight = 0;
 }
 
-// Of what tiles of the finest level reflect without a bounce.
-float CutFade::mean(const LocalMatrix& matrix, std::span<const Vec4> source) {
-  double sum = 0;
-  uint64_t nodes = 0;
-  for (size_t t = 0; t < tiles_.size() && tiles_[t].id.level == tiles_.front().id.level; ++t) {
-    const SlotRange& range = matrix.tiles[t];
-    float& light = tiles_[t].light;
-    if (light < 0) {
-      light = 0;
-      for (uint32_t i = 0; i < range.nodes; i += kMeanOf) {
-        const Vec4& m = source[range.first_slot + i];
-        light += (m.x + m.y + m.z) / 3;
-      }
-    }
-    sum += static_cast<double>(light);
-    nodes += (range.nodes + kMeanOf - 1) / kMeanOf;
-  }
-  return nodes > 0 ? static_cast<float>(sum / static_cast<double>(nodes)) : 0;
-}
-
-void CutFade::relit() {
-  for (Tile& tile : tiles_) tile.light = Tile::kUnknown;
-}
-
-void CutFade::advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers) {
-  float mean_now = -1;
+void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observers) {
+  const float fastest = 1 / static_cast<float>(settings_.frames), slowest = std::min(1 / kMaxFrames, fastest);
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
-    const bool begins = tile.step == 0;
+    const bool begins = tile.began_at_m == Tile::kUnknown;
     if (begins) tile.bounds = matrix.packed[t].strip->tile.info().bounds;
     const float away_m = observers.distance(tile.bounds);
-    if (begins) {
-      if (mean_now < 0) mean_now = mean(matrix, source);
-      const float frames = mean_now > 0 ? hiddenBy(matrix, matrix.tiles[t], source) / (kStep * mean_now) : 0;
-      tile.step = 1 / std::max(static_cast<float>(settings_.frames), std::min(frames, kMaxFrames));
-      tile.left_at_m = away_m;
-    }
-    const float faster = std::max(1.0f, away_m / (kFar * tile.left_at_m));
-    tile.weight = std::clamp(tile.weight + (tile.leaving ? -tile.step * faster * faster : tile.step), 0.0f, 1.0f);
+    if (begins) tile.began_at_m = away_m;
+    const float to = due(tile, away_m);
+    tile.weight = tile.leaving ? std::max(tile.weight - std::clamp(tile.weight - to, slowest, fastest), 0.0f) : std::min(tile.weight + std::clamp(to - tile.weight, slowest, fastest), 1.0f);
     if (!tile.rests()) continue;
-    tile.step = 0;
+    tile.began_at_m = Tile::kUnknown;
     one_has_gone_ |= tile.leaving;
   }
+}
+
+// What a tile shows of its own by the way that the nearest observer has come, or gone, since it began.
+float CutFade::due(const Tile& tile, float away_m) const {
+  const float radius_m = radii_m_[tile.id.level], at_hand_m = kAtHand * radius_m;
+  if (tile.leaving) return 1 - (away_m - tile.began_at_m) / (kGone * radius_m);
+  if (tile.began_at_m < kLate * radius_m || away_m <= at_hand_m) return 1;
+  return (tile.began_at_m - away_m) / (tile.began_at_m - at_hand_m);
 }
 
 void CutFade::finish() {

@@ -1,5 +1,6 @@
-// Tiles that leave fade out. One that is wanted no more stays in the cut for a while, in which what its nodes show goes over to what their parents show: its weight
-// falls from 1 to 0, the slower the more there is to see of it. How the light of what stays or enters follows a new cut is the solver's: Solver::ease.
+// Tiles fade in and out. What the nodes of one that enters show goes over from what their parents show to their own: its weight rises from 0 to 1 on the way from
+// where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it. So what changes slowly is what an
+// observer passes slowly. How the light itself follows a new cut is the solver's: Solver::ease.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -13,24 +14,23 @@ namespace ff::runtime {
 
 struct FadeSettings {
   uint32_t frames = 0;        // that light takes to follow a change of the cut; 0: it does so at once, and tiles leave at once
-  uint32_t max_nodes = 6144;  // of tiles that fade out; past it those that show least leave at once
+  uint32_t max_nodes = 9216;  // of tiles that fade out; past it those that show least leave at once
 };
 
 // One thread calls. Nothing takes memory after the start.
 class CutFade {
  public:
-  explicit CutFade(const FadeSettings& settings = {});
+  // radii_m: within which tiles are wanted, by level (Streamer::radii()).
+  CutFade(const FadeSettings& settings, std::span<const float> radii_m);
 
   // The tiles to put a matrix together of: `active` (as Streamer::active()) and those that fade out. Sorted likewise; as they are until the next call, or finish().
   std::span<const stream::StripPtr> cut(std::span<const stream::StripPtr> active);
   // Those of the last cut() that fade out, sorted; likewise.
   std::span<const FadingTile> fading() const { return fading_; }
-  // The matrix is that of another cut. entered: as MatrixChange has it; empty where slots were given out anew.
+  // The matrix is that of another cut. entered: the tiles that fade in, by number.
   void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered);
-  // A frame passes. source: by slot, what is reflected of light that arrives without a bounce, W/m2.
-  void advance(const LocalMatrix& matrix, std::span<const Vec4> source, const stream::Observers& observers);
-  // Sources are others than they were, also of tiles that have not entered.
-  void relit();
+  // A frame passes.
+  void advance(const LocalMatrix& matrix, const stream::Observers& observers);
   // What fades is gone, by the next cut() and follow().
   void finish();
 
@@ -43,11 +43,10 @@ class CutFade {
  private:
   struct Tile {
     formats::TileId id;
-    float weight = 1, step = 0;  // step: of a frame; 0 where it has not begun
-    float left_at_m = 0;         // how far away the nearest observer was then
-    Box bounds{};                // of it, since then
     static constexpr float kUnknown = -1;
-    float light = kUnknown;      // the sum of some of its nodes' sources, W/m2
+    float weight = 1;
+    float began_at_m = kUnknown;  // how far away the nearest observer was when it began to fade
+    Box bounds{};                 // of it, since then
     bool leaving = false;
     bool rests() const { return weight == (leaving ? 0.0f : 1.0f); }
   };
@@ -56,13 +55,13 @@ class CutFade {
     float weight;   // the largest of its own and its descendants'
     bool kept;
   };
-  Tile* find(formats::TileId id);
   void followActive(std::span<const stream::StripPtr> active);
   void listLeaving();
   void keepTheMost();
-  float mean(const LocalMatrix& matrix, std::span<const Vec4> source);
+  float due(const Tile& tile, float away_m) const;
 
-  FadeSettings settings_;
+  const FadeSettings settings_;
+  const std::vector<float> radii_m_;
   std::vector<Tile> tiles_, tiles_before_;  // of the matrix
   bool one_has_gone_ = false;               // of tiles_, since the last cut()
   // What a frame asks of strips, most of which it has no other reason to look at: they lie far apart.

@@ -11,6 +11,13 @@ namespace {
 
 constexpr float kMargin = 0.1f;  // of the world, at each end
 
+// "1.5", "30".
+std::string speedText(float speed) {
+  char text[16];
+  std::snprintf(text, sizeof text, "%g", static_cast<double>(speed));
+  return text;
+}
+
 int passesFor(double seconds, double pass_seconds) { return std::max(1, static_cast<int>(std::lround(seconds / pass_seconds))); }
 
 }  // namespace
@@ -22,9 +29,9 @@ std::vector<FlightPath> flightPaths(const Box& bounds, float y, double seconds) 
   // Lanes of passes, far from each other and the same for every path.
   const auto lane = [=](int pass) { return lo.z + span.z * std::fmod(0.5f + 0.618034f * static_cast<float>(pass), 1.0f); };
   std::vector<FlightPath> paths;
-  for (const float speed : {30.0f, 60.0f, 80.0f}) {
+  for (const float speed : {1.5f, 10.0f, 30.0f, 60.0f, 80.0f}) {
     const double pass_seconds = std::min(seconds, static_cast<double>(span.x / speed));
-    paths.push_back({"line, " + std::to_string(static_cast<int>(speed)) + " m/s", passesFor(seconds, pass_seconds), pass_seconds, false, [=](int pass, double t) {
+    paths.push_back({"line, " + speedText(speed) + " m/s", passesFor(seconds, pass_seconds), pass_seconds, false, [=](int pass, double t) {
                        return FlightPath::Moment{{lo.x + speed * static_cast<float>(t), y, lane(pass)}, {speed, 0, 0}};
                      }});
   }

@@ -1,6 +1,7 @@
 #include "runtime/cut/cut_fade.h"
 
 #include <cmath>
+#include <map>
 
 #include "runtime/cut/matrix_assembler.h"
 #include "runtime/dense/cpu_multibounce.h"
@@ -77,6 +78,68 @@ TEST(CutFade, LightOfFixedPatchesDoesNotJumpAlongAFlightAndRestsWhereItWouldWith
   for (size_t p = 0; p < end[0].size(); ++p) ASSERT_NEAR(end[1][p], end[0][p], 1e-4f * (1 + end[0][p]));
 }
 
+// By the way of the observer alone, whatever it takes in frames; and all of it where a tile is at hand.
+TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepAway) {
+  const TestWorld test(kWorld);
+  constexpr uint32_t kFrames = 3;
+  constexpr float kRadius_m = 8;
+  Flight slow(test, {.frames = kFrames}), fast(test, {.frames = kFrames});
+  const auto weights = [](const Flight& flight) {  // by tile
+    std::map<formats::TileId, float> own;
+    std::vector<shaders::FadingSlots> fading;
+    const LocalMatrix& m = flight.updater.matrix();
+    flight.updater.fade().fadingSlots(m, fading);
+    for (const SlotRange& range : m.tiles) own[range.id] = 1;
+    for (const shaders::FadingSlots& slots : fading) own[std::ranges::find(m.tiles, slots.first_slot, &SlotRange::first_slot)->id] = slots.own;
+    return own;
+  };
+  size_t between = 0, compared = 0;
+  std::map<formats::TileId, float> before;
+  for (int step = 0; step < 200; ++step) {
+    const Vec3 at{10 + 0.2f * static_cast<float>(step), 1, 30};
+    slow.frame(at);
+    if (step % 2 == 0) fast.frame(at);
+    const auto now = weights(slow), now_fast = weights(fast);
+    for (const auto& [id, weight] : now) {
+      if (id.level != 0 || step == 0) continue;
+      const float away_m = test.world().tiles(0)[id.tile].bounds.distance(at), step_weight = before.contains(id) ? weight - before[id] : 0;
+      ASSERT_LE(std::abs(step_weight), 1.0f / kFrames + 1e-5f);
+      if (away_m < 0.8f * kRadius_m - 0.2f * kFrames) {
+        ASSERT_EQ(weight, 1) << step << ": a tile at " << away_m << " m";
+      }
+      between += weight > 0 && weight < 1;
+      if (step % 2 != 0 || !now_fast.contains(id)) continue;
+      ASSERT_NEAR(now_fast.at(id), weight, 0.25f) << step << ": the same way in half of the frames";
+      ++compared;
+    }
+    before = now;
+  }
+  EXPECT_GT(between, 200u);
+  EXPECT_GT(compared, 1000u);
+  for (int frame = 0; frame < 130; ++frame) slow.frame({49.8f, 1, 30});  // and at rest it ends, too
+  for (const auto& [id, weight] : weights(slow)) ASSERT_EQ(weight, 1);
+  EXPECT_EQ(slow.updater.matrix().tiles.size(), slow.streamer->active().size());
+}
+
+TEST(CutFade, WhatComesLateOrIsWaitedForShowsItsOwnAtOnce) {
+  const TestWorld test(kWorld);
+  Flight flight(test, {.frames = 4});
+  flight.frame({10, 1, 30});
+  std::vector<shaders::FadingSlots> fading;
+  flight.updater.fade().fadingSlots(flight.updater.matrix(), fading);
+  EXPECT_TRUE(fading.empty()) << "the first frame waits";
+  flight.frame({17, 1, 30});  // not so far that it counts as a jump
+  const LocalMatrix& m = flight.updater.matrix();
+  flight.updater.fade().fadingSlots(m, fading);
+  EXPECT_FALSE(fading.empty());
+  for (int frame = 1; frame < 4; ++frame) flight.frame({17, 1, 30});
+  flight.updater.fade().fadingSlots(m, fading);
+  for (const shaders::FadingSlots& slots : fading) {
+    const SlotRange& range = *std::ranges::find(m.tiles, slots.first_slot, &SlotRange::first_slot);
+    EXPECT_GE(test.world().tiles(range.id.level)[range.id.tile].bounds.distance({17, 1, 30}), 0.9f * flight.streamer->radii()[range.id.level]);
+  }
+}
+
 TEST(CutFade, WaitingForTheCutEndsAllFadesAndWhatIsTooMuchLeavesAtOnce) {
   const TestWorld test(kWorld);
   Flight flight(test, {.frames = 50}), narrow(test, {.frames = 50, .max_nodes = 100});
@@ -101,31 +164,6 @@ TEST(CutFade, WaitingForTheCutEndsAllFadesAndWhatIsTooMuchLeavesAtOnce) {
   const std::vector<Vec4> before = light;
   flight.updater.fade().blend(flight.updater.matrix(), light);
   for (size_t s = 0; s < light.size(); ++s) ASSERT_EQ(light[s].y, before[s].y);
-}
-
-TEST(CutFade, TakesAsLongUnderALightThatHasChangedAsIfItHadAlwaysBeenSo) {
-  const TestWorld test(kWorld);
-  Flight always(test, {.frames = 1}), now(test, {.frames = 1});
-  const auto spots = [](float light) {  // one node of three is lit, and of their parents all
-    return [light](formats::TileId id, std::span<Vec3> irradiance) {
-      for (size_t i = 0; i < irradiance.size(); ++i) irradiance[i] = id.level > 0 ? Vec3{light, light, light} : i % 3 == 0 ? Vec3{3 * light, 3 * light, 3 * light} : Vec3{};
-    };
-  };
-  for (Flight* f : {&always, &now}) {  // no other light, which would count for less
-    EXPECT_TRUE(f->updater.setSky({}));
-    for (uint32_t group = 0; group < test.world().info().lamp_groups.size(); ++group) EXPECT_TRUE(f->updater.setLamp(group, {}));
-  }
-  always.updater.setDirectLight(spots(1));
-  now.updater.setDirectLight(spots(1024));
-  size_t most_tiles = 0;
-  for (float x = 10; x < 58; x += 0.5f) {
-    if (x == 36) now.updater.setDirectLight(spots(1));
-    for (Flight* f : {&always, &now}) f->frame({x, 1, 30});
-    if (x < 36) continue;
-    ASSERT_EQ(now.updater.matrix().tiles.size(), always.updater.matrix().tiles.size()) << x;
-    most_tiles = std::max(most_tiles, now.updater.matrix().tiles.size() - now.streamer->active().size());
-  }
-  EXPECT_GT(most_tiles, 0u);
 }
 
 }  // namespace
