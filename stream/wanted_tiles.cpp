@@ -36,8 +36,8 @@ std::vector<float> radiiOf(const formats::World& world, float radius_0, float gr
 }
 
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
-    : world_(world), settings_(settings), radius_m_(radiiOf(world, settings.radius_m, settings.growth)),
-      least_radius_m_(radiiOf(world, settings.radius_m, 1 + kLeastGrowth * (settings.growth - 1))), ways_(world.levels().size() * kMaxObservers) {
+    : world_(world), settings_(settings), least_growth_(1 + kLeastGrowth * (settings.growth - 1)), radius_m_(radiiOf(world, settings.radius_m, settings.growth)),
+      least_radius_m_(radiiOf(world, settings.radius_m, least_growth_)), shown_seconds_(world.levels().size() * kMaxObservers) {
   size_t tiles = 0;
   for (const formats::LevelInfo& level : world.levels()) tiles += level.tiles;
   // A tile has a node at least, and is offered once.
@@ -71,14 +71,14 @@ std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers,
   ++walks_;
   observers_ = observers;
   turn_m_ = 0;
+  active_seconds_.fill(lead.active_seconds);
   for (size_t i = 0; i < observers_.size(); ++i) {
-    const Vec3 velocity = observers_[i].velocity;
-    const float speed = length(velocity);
+    const float speed = length(observers_[i].velocity);
     turn_m_ = std::max(turn_m_, lead.turn_seconds * speed);
     for (size_t level = 0; level < radius_m_.size(); ++level) {
       // A tile needs its parent, so that each level goes as far ahead as level 0 at least.
       const float left = speed > 0 ? lead.shown_seconds - (radius_m_[level] - radius_m_[0]) / speed : 0;
-      ways_[level * kMaxObservers + i] = velocity * std::max(lead.active_seconds, left);
+      shown_seconds_[level * kMaxObservers + i] = std::max(lead.active_seconds, left);
     }
   }
   wanted_before_.swap(wanted_);
@@ -144,18 +144,17 @@ void WantedTiles::admit(const Tile& tile) {
 }
 
 float WantedTiles::urgency(float distance, uint32_t level) const {
-  if (distance >= radius_m_[level]) return kTurn + distance - radius_m_[level];
+  if (const float beyond = (distance - radius_m_[level]) / radius_m_[level]; beyond >= 0) return kLight + (kTurn - kLight) * beyond / (1 + beyond);
   const float least = least_radius_m_[level];
   if (distance < least || !(radius_m_[level] > least)) return distance / least;
   return 1 + std::log(distance / least) / std::log(radius_m_[level] / least);  // linear in the growth's logarithm that would do, as a share of what there is
 }
 
 void WantedTiles::ranOut(Budget budget, const Candidate& at) {
-  if (at.tile.spare) return;  // all that was asked for is there
+  if (at.key >= kLight) return;  // all that is near is there
   if (reach_.short_of == Budget::kNone) reach_.short_of = budget;
-  const float least = 1 + kLeastGrowth * (settings_.growth - 1);
   reach_.radius_m = std::min(reach_.radius_m, at.key * settings_.radius_m);
-  if (budget != Budget::kPatches) reach_.growth = least * std::pow(settings_.growth / least, std::clamp(at.key - 1, 0.0f, 1.0f));
+  if (budget != Budget::kPatches) reach_.growth = least_growth_ * std::pow(settings_.growth / least_growth_, std::clamp(at.key - 1, 0.0f, 1.0f));
 }
 
 void WantedTiles::offerChildren(const Tile& parent) {
@@ -163,17 +162,19 @@ void WantedTiles::offerChildren(const Tile& parent) {
   const TileInfo& info = parent.info();
   const uint32_t child = parent.chunk->childWith(info.first_child);
   const float wide = std::max(radius_m_[level] * settings_.hysteresis, radius_m_[level] + turn_m_);
-  if (distance(parent.chunk->children[child].bounds, level) >= wide) return;
+  const std::span<const float> shown_seconds = shownSeconds(level);
+  if (distance(parent.chunk->children[child].bounds, shown_seconds) >= wide) return;
   const formats::Chunk* chunk = look(*parent.chunk, child);
   if (!chunk) return;
   for (uint32_t t = info.first_child; t < info.end_child; ++t) {
     Tile tile{{level, t}, chunk};
     const Tile* const before = find(wanted_before_, tile.id);
-    float away_m = distance(tile.info().bounds, level) / (before && !before->spare ? settings_.hysteresis : 1);
-    tile.spare = !(away_m < radius_m_[level]);
-    if (tile.spare) away_m = observers_.distance(tile.info().bounds);
-    if (!(away_m < radius_m_[level] + turn_m_)) continue;
-    heap_.push_back({urgency(away_m, level), tile});
+    const Box& bounds = tile.info().bounds;
+    const float stays = before && !before->spare ? settings_.hysteresis : 1;
+    tile.spare = !(distance(bounds, shown_seconds) / stays < radius_m_[level]);
+    const float beyond_m = tile.spare ? observers_.distance(bounds) - radius_m_[level] : 0;
+    if (!(beyond_m < turn_m_) && tile.spare) continue;
+    heap_.push_back({tile.spare ? kTurn + beyond_m : urgency(distance(bounds, active_seconds_) / stays, level), tile});
     std::push_heap(heap_.begin(), heap_.end());
   }
 }

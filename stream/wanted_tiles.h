@@ -2,6 +2,7 @@
 // children. It goes by the index of the chunks that are here, and says which others it would have looked at.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -22,7 +23,8 @@ std::vector<float> radiiOf(const formats::World& world, float radius_0, float gr
 // are within its level's radius of the observer (times hysteresis if the walk before wanted it).
 // Tiles are admitted in order of their urgency (their own or an ancestor's, whichever is larger), so a budget that runs out acts as
 // a smaller growth, down to kLeastGrowth of what it is above 1, and then as a smaller radius_m: max_nodes and memory_bytes end the walk,
-// max_level0_nodes only closes level 0. What is wanted for a turn alone (Lead::turn_seconds) comes after all else, and has no hysteresis of its own.
+// max_level0_nodes only closes level 0. What is wanted for its light alone, so that it has followed when an observer is there (Lead::shown_seconds), comes after that, and what is wanted for a turn alone
+// (Lead::turn_seconds) after all else, with no hysteresis of its own.
 class WantedTiles {
  public:
   struct Tile {
@@ -76,17 +78,19 @@ class WantedTiles {
   const formats::Chunk* look(const formats::Chunk& parent, uint32_t child);
   void admit(const Tile& tile);
   void offerChildren(const Tile& parent);
-  // Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2; beyond it from kTurn on, by the way that is left.
+  // Of a tile that is so far from the way of Lead::active_seconds. Below 1 within the radii of the least growth, where it is the distance over them; from there to the level's radius, 1 to 2; beyond it, up
+  // to kTurn, by the way that is left.
   float urgency(float distance, uint32_t level) const;
-  static constexpr float kTurn = 3;
+  static constexpr float kLight = 2, kTurn = 3;
+  std::span<const float> shownSeconds(uint32_t level) const { return std::span(shown_seconds_).subspan(level * kMaxObservers, kMaxObservers); }
   // A budget ran out at a candidate.
   void ranOut(Budget budget, const Candidate& at);
-  // To the nearest observer's way: near enough by its ends and its place that is nearest to the middle of the box.
-  float distance(const Box& bounds, uint32_t level) const {
+  // To the nearest observer's way, each as long as its velocity lasts: near enough by its ends and its place that is nearest to the middle of the box.
+  float distance(const Box& bounds, std::span<const float> seconds) const {
     float nearest = observers_.distance(bounds);
     for (size_t i = 0; i < observers_.size(); ++i) {
       const Observer& observer = observers_[i];
-      const Vec3 way = ways_[level * kMaxObservers + i];
+      const Vec3 way = observer.velocity * seconds[i];
       if (way == Vec3{}) continue;
       const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer.at, way) / dot(way, way), 0.0f, 1.0f);
       nearest = std::min({nearest, bounds.distance(observer.at + way), bounds.distance(observer.at + way * along)});
@@ -98,8 +102,10 @@ class WantedTiles {
   const StreamSettings settings_;
   Observers observers_;  // of the walk
   size_t max_wanted_ = 0;
+  const float least_growth_;
   std::vector<float> radius_m_, least_radius_m_;  // per level; those of the least growth
-  std::vector<Vec3> ways_;       // of the lead's time: by level and observer
+  std::array<float, kMaxObservers> active_seconds_{};  // of the lead, by observer,
+  std::vector<float> shown_seconds_;                    // and what a level has left of it: by level and observer
   float turn_m_ = 0;             // the fastest observer's way in the time of a turn
   TileMap<Here> chunks_;         // by their first tile
   uint32_t walks_ = 0;

@@ -2,6 +2,7 @@
 // what the frame's thread has to do, what the disk reads, what crosses the bus to a device, and how much the light of surfaces jumps under light that
 // does not change (by night: lit windows are the hard case, where a cluster stands for several lamps). Prints JSON lines.
 #include <fcntl.h>
+#include <sched.h>
 #include <unistd.h>
 #include <zstd.h>
 
@@ -48,7 +49,7 @@ struct Options {
   uint32_t max_applied_tiles = 0;
   uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
-  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false;
+  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false;
   int iterations() const { return solver == "gather" ? 2 : 1; }  // a frame, as the C interface does
 };
 
@@ -56,6 +57,14 @@ double threadMs() {
   timespec now;
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
   return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
+}
+
+// Lets the thread, and those that it starts, run on the first core alone, or on all but that.
+void runOn(bool first_core) {
+  cpu_set_t cores;
+  CPU_ZERO(&cores);
+  for (unsigned core = first_core ? 0 : 1; core < (first_core ? 1 : std::thread::hardware_concurrency()); ++core) CPU_SET(core, &cores);
+  if (sched_setaffinity(0, sizeof cores, &cores) != 0) std::fprintf(stderr, "ff_bench_stream: the system does not let threads have cores of their own\n");
 }
 
 // Bytes that the kernel has read from disks for this process.
@@ -157,6 +166,37 @@ double quantile(std::vector<double>& values, double share) {
   return values[std::min(values.size() - 1, static_cast<size_t>(share * static_cast<double>(values.size())))];
 }
 
+// How many of many values are how large, to a hundredth. Takes no memory as it grows: a list of all grew to hundreds of MB, and frames stood still while it did.
+class Counts {
+ public:
+  void add(std::span<const float> values) {
+    for (const float value : values) {
+      ++bins_[binOf(value)];
+      most_ = std::max(most_, value);
+      ++values_;
+    }
+  }
+  double quantile(double share) const {
+    const auto rank = static_cast<uint64_t>(share * static_cast<double>(values_));
+    uint64_t before = 0;
+    for (size_t bin = 0; bin < bins_.size(); ++bin)
+      if ((before += bins_[bin]) > rank) return std::min(most(), kLeast * std::pow(kStep, static_cast<double>(bin)));
+    return most();
+  }
+  double most() const { return static_cast<double>(most_); }
+
+ private:
+  static constexpr double kLeast = 1e-9, kStep = 1.01;
+  static size_t binOf(float value) {
+    const double x = static_cast<double>(value);
+    return x > kLeast ? std::min<size_t>(kBins - 1, static_cast<size_t>(std::ceil(std::log(x / kLeast) / std::log(kStep)))) : 0;
+  }
+  static constexpr size_t kBins = 4096;  // up to 5e8
+  std::vector<uint64_t> bins_ = std::vector<uint64_t>(kBins);
+  uint64_t values_ = 0;
+  float most_ = 0;
+};
+
 std::string number(double x) {
   char text[32];
   std::snprintf(text, sizeof text, "%.3g", x);
@@ -165,8 +205,9 @@ std::string number(double x) {
 
 // What a path's passes came to.
 struct Flown {
-  std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, near, far;
+  std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms;
   std::vector<double> uploaded, uploaded_rows, uploaded_light;  // KiB a frame
+  Counts near, far;
   double most_undisturbed_ms = 0;  // of frames in which the host took nothing
   uint64_t late_after_theft = 0, late_over_budget = 0, stolen_ticks = 0;
   double paused_seconds = 0;
@@ -202,6 +243,7 @@ uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::Stream
 void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, double hint_seconds, Flown& flown) {
   for (int pass = 0; pass < path.passes; ++pass) {
     const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
+    if (options.own_core) runOn(false);
     std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
                                                  : options.reader == "io_uring" ? orExit(stream::makeUringSource(world))
                                                                                 : stream::makeFileSource(world);
@@ -236,6 +278,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     std::set<formats::TileId> there, used;
     for (const stream::StripPtr& strip : streamer->active()) there.insert(strip->id);
     if (!options.warm) dropFromPageCache(world);
+    if (options.own_core) runOn(true);
     (void)solver.takeSteps();
     (void)solver.takeUpdate();
     const uint64_t device_before = deviceBytes();
@@ -317,8 +360,8 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       const auto most = [](const std::vector<float>& changes) { return changes.empty() ? 0.0f : *std::ranges::max_element(changes); };
       flown.frames_jump_near += most(surface.near()) > kJump;
       flown.frames_jump_far += most(surface.far()) > kJump;
-      flown.near.insert(flown.near.end(), surface.near().begin(), surface.near().end());
-      flown.far.insert(flown.far.end(), surface.far().begin(), surface.far().end());
+      flown.near.add(surface.near());
+      flown.far.add(surface.far());
     }
     flown.seconds += path.pass_seconds;
     flown.device_bytes += deviceBytes() - device_before;
@@ -364,11 +407,11 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
         note + "; bytes that the disk read over those of strips that became active, " + number(static_cast<double>(flown.used_bytes) / 1e6) + " MB; strips read over the same " +
             number(ratio(flown.read_bytes, flown.used_bytes)) + ", with what lies between them " + number(ratio(flown.read_bytes + flown.gap_bytes, flown.used_bytes)) + "; " + number(static_cast<double>(flown.device_bytes) / 1e6 / flown.seconds) + " MB/s from the disk");
   print("stream.strips_a_read", ratio(flown.strips, flown.reads), "strips", std::nan(""), note + "; " + std::to_string(flown.strips) + " strips in " + std::to_string(flown.reads) + " reads, neighbours in one");
-  print("stream.pop_p99", quantile(flown.near, 0.99), "relative", 0.01,
-        note + "; change from frame to frame of what fixed patches within 12 m reflect, over the mean within 30 m; worst " + number(quantile(flown.near, 1)) + ", above 2 % in " +
+  print("stream.pop_p99", flown.near.quantile(0.99), "relative", 0.01,
+        note + "; change from frame to frame of what fixed patches within 12 m reflect, over the mean within 30 m; worst " + number(flown.near.most()) + ", above 2 % in " +
             percent(flown.frames_jump_near, flown.frames) + " of the frames");
-  print("stream.pop_far_p999", quantile(flown.far, 0.999), "relative", std::nan(""),
-        note + "; the same at 12 to 30 m, 999 of a thousand; 99 of a hundred below " + number(quantile(flown.far, 0.99)) + ", worst " + number(quantile(flown.far, 1)) + ", above 2 % in " +
+  print("stream.pop_far_p999", flown.far.quantile(0.999), "relative", std::nan(""),
+        note + "; the same at 12 to 30 m, 999 of a thousand; 99 of a hundred below " + number(flown.far.quantile(0.99)) + ", worst " + number(flown.far.most()) + ", above 2 % in " +
             percent(flown.frames_jump_far, flown.frames) + " of the frames");
   print("stream.moving_error", flown.near_error.relative(), "relative", 0,
         note + "; rms over all frames of what fixed patches within 12 m reflect, against the whole world solved in double precision; at 12 to 30 m " + number(flown.far_error.relative()));
@@ -467,6 +510,7 @@ int main(int argc, char** argv) {
   app.add_flag("--vulkan", options.vulkan, "on a Vulkan device, as an engine records it");
   app.add_option("--max-patches", options.max_patches, "of the finest level, active at once")->capture_default_str();
   app.add_flag("--stepped", options.stepped, "a frame follows when all that the one before asked for is there, and finds that 1/60 s has passed: for solvers that take longer");
+  app.add_flag("--own-core", options.own_core, "the frame's thread has the first core for itself, all others share the rest");
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
   app.add_option("--path", options.path, "paths whose names begin so, reload, or decoding; all without it");

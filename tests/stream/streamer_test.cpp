@@ -282,6 +282,30 @@ TEST_F(StreamerTest, SaysWhatBudgetsHaveRoomFor) {
     }
 }
 
+TEST_F(StreamerTest, WhatIsWantedForItsLightAloneTakesNothingFromWhatIsNear) {
+  std::mt19937_64 random(17);
+  const Vec3 velocity{20, 0, 0};
+  size_t more = 0;
+  for (int i = 0; i < 30; ++i) {
+    const Vec3 at = randomPlace(random);
+    const auto settled = [&](float shown_seconds, uint32_t max_nodes) {
+      const auto streamer = make({.radius_m = 6, .growth = 1.6f, .hysteresis = 1.0f, .max_nodes = max_nodes}, memory());
+      streamer->setLead({.active_seconds = 0.1f, .shown_seconds = shown_seconds});
+      streamer->update(at, velocity);
+      EXPECT_TRUE(streamer->settle());
+      EXPECT_EQ(streamer->stats().reach.short_of, Budget::kNone);
+      return ids(*streamer);
+    };
+    const auto near = settled(0.1f, 60000), lit = settled(0.6f, 60000);
+    uint32_t nodes = 0;
+    for (const TileId id : near) nodes += world_->tiles(id.level)[id.tile].nodes;
+    EXPECT_TRUE(std::ranges::includes(lit, near));
+    more += lit.size() > near.size();
+    EXPECT_TRUE(settled(0.6f, nodes) == near);
+  }
+  EXPECT_GT(more, 10u);
+}
+
 TEST_F(StreamerTest, WhatATurnMayBringNearIsWantedAfterAllElse) {
   std::mt19937_64 random(16);
   const Vec3 velocity{20, 0, 0};
