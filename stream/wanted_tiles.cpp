@@ -173,7 +173,7 @@ void WantedTiles::offerChildren(const Tile& parent) {
     const float stays = before && !before->spare ? settings_.hysteresis : 1;
     tile.spare = !(distance(bounds, shown_seconds) / stays < radius_m_[level]);
     const float beyond_m = tile.spare ? observers_.distance(bounds) - radius_m_[level] : 0;
-    if (!(beyond_m < turn_m_) && tile.spare) continue;
+    if (tile.spare && !(beyond_m < turn_m_)) continue;
     heap_.push_back({tile.spare ? kTurn + beyond_m : urgency(distance(bounds, active_seconds_) / stays, level), tile});
     std::push_heap(heap_.begin(), heap_.end());
   }

@@ -157,8 +157,8 @@ void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observ
     if (begins) tile.bounds = matrix.packed[t].strip->tile.info().bounds;
     const float away_m = observers.distance(tile.bounds);
     if (begins) tile.began_at_m = away_m;
-    const float to = due(tile, away_m);
-    tile.weight = tile.leaving ? std::max(tile.weight - std::clamp(tile.weight - to, slowest, fastest), 0.0f) : std::min(tile.weight + std::clamp(to - tile.weight, slowest, fastest), 1.0f);
+    const float way = tile.leaving ? -1.0f : 1.0f;  // the weight's
+    tile.weight = std::clamp(tile.weight + way * std::clamp(way * (due(tile, away_m) - tile.weight), slowest, fastest), 0.0f, 1.0f);
     if (!tile.rests()) continue;
     tile.began_at_m = Tile::kUnknown;
     one_has_gone_ |= tile.leaving;
