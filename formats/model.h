@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/unset_vector.h"
 #include "formats/vec3.h"
 
 namespace ff::formats {
@@ -110,9 +111,10 @@ struct RowWords {
     uint16_t partner;  // index into the strip's blocks, ascending in a row
     uint16_t words;
   };
-  std::vector<Run> runs;
-  std::vector<uint16_t> words;
+  UnsetVector<Run> runs;
+  UnsetVector<uint16_t> words;
   std::vector<uint32_t> run_start, row_start;  // nodes + 1 each
+  std::vector<uint64_t> row_partners;          // per node: bit p % 64 is set for each partner p of its runs
 };
 
 // Drawing geometry of a level-0 tile: a triangle soup that covers its patches. Positions in metres. The last triangles are no part of

@@ -18,12 +18,6 @@ ResidentStrip pack(formats::Strip&& strip, formats::RowWords&& words, const form
     for (size_t b = packed.partners.size(); b < end_block; ++b) packed.partners.push_back({strip.blocks[b].partner_tile, static_cast<uint32_t>(packed.chunks.size())});
     packed.chunks.push_back(std::move(chunk));
   }
-  packed.row_partners.reserve(packed.nodes.size());
-  for (size_t r = 0; r < packed.nodes.size(); ++r) {
-    uint64_t partners = 0;
-    for (const auto& run : std::span(packed.runs).subspan(packed.run_start[r], packed.run_start[r + 1] - packed.run_start[r])) partners |= uint64_t{1} << run.partner % 64;
-    packed.row_partners.push_back(partners);
-  }
   return packed;
 }
 

@@ -23,7 +23,6 @@ struct ResidentStrip : formats::RowWords {  // a run's partner: index into `part
   };
   std::vector<Partner> partners;            // tiles ascending
   std::vector<formats::ChunkPtr> chunks;    // the index of all partners stays as long as the strip
-  std::vector<uint64_t> row_partners;          // per node: bit p % 64 is set for each partner p of its runs
   std::vector<formats::LampLight> lamps;       // what the nodes get of the lamps, by row
 };
 

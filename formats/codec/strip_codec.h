@@ -2,6 +2,7 @@
 // of the reading library, the encoder (encodeStrip, writer.h) of the writing one.
 #pragma once
 #include <bit>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -79,7 +80,13 @@ struct OctNormal {
   int16_t u = 0, v = 0;
 };
 OctNormal packNormal(Vec3 n);
-Vec3 unpackNormal(OctNormal n);
+inline Vec3 unpackNormal(OctNormal n) {
+  if (n.u == kZeroNormal || n.v == kZeroNormal) return {};
+  const float x = static_cast<float>(n.u) / 32767.0f, y = static_cast<float>(n.v) / 32767.0f;
+  const float z = 1.0f - std::abs(x) - std::abs(y);
+  if (z >= 0) return normalized({x, y, z});
+  return normalized({std::copysign(1.0f - std::abs(y), x), std::copysign(1.0f - std::abs(x), y), z});
+}
 
 // A partner tile as a strip names it.
 struct PartnerName {

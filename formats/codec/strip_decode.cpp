@@ -113,16 +113,14 @@ float signedFraction(int8_t v) { return static_cast<float>(v) / 127.0f; }
 float asFloat(uint32_t v) { return std::bit_cast<float>(v); }
 uint16_t asIs(uint16_t v) { return v; }
 
-Result<void> checkNode(const TileInfo& info, size_t i, const Node& node, uint32_t max_quanta) {
-  const auto bad = [&](const std::string& what) { return brokenStrip(info, "node " + std::to_string(i) + ": " + what); };
-  if (node.quanta > max_quanta)
-    return bad("its row has " + std::to_string(node.quanta) + " samples, in this world a row has " + std::to_string(max_quanta) + " at most");
-  if (node.sky_fraction > 1) return bad("sky fraction is above 1");
-  if (node.row_total > kRowTotalUnit) return bad("row total is above 16");
-  if (!(node.area_m2 > 0) || !std::isfinite(node.area_m2)) return bad("area is not a positive number");
+// What is wrong with a node, or null.
+const char* flawOf(const Node& node) {
+  if (node.sky_fraction > 1) return "sky fraction is above 1";
+  if (node.row_total > kRowTotalUnit) return "row total is above 16";
+  if (!(node.area_m2 > 0) || !std::isfinite(node.area_m2)) return "area is not a positive number";
   for (int k = 0; k < 3; ++k)
-    if (!(node.emission[k] >= 0) || !(node.emission[k] <= kMaxEmission)) return bad("emission is not 0..1e12 W/m2");
-  return {};
+    if (!(node.emission[k] >= 0) || !(node.emission[k] <= kMaxEmission)) return "emission is not 0..1e12 W/m2";
+  return nullptr;
 }
 
 // Array by array, so that one value's steps do not wait for another's.
@@ -148,7 +146,7 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
   forEachNode<uint16_t>(raw + layout.lampGroup(), out, asIs, [](Node& node, uint16_t v) { node.lamp_group = v; });
   for (size_t i = 0; i < n; ++i) {
     Node& node = out.nodes[i];
-    const auto bad = [&](const char* what) { return brokenStrip(info, "node " + std::to_string(i) + ": " + what); };
+    const auto bad = [&](const std::string& what) { return brokenStrip(info, "node " + std::to_string(i) + ": " + what); };
     const OctNormal normal{planeValue<int16_t>(raw + layout.normal(), n, i), planeValue<int16_t>(raw + layout.normal() + 2 * n, n, i)};
     if ((normal.u == kZeroNormal) != (normal.v == kZeroNormal)) return bad("normal is not a direction");
     node.normal = unpackNormal(normal);
@@ -157,7 +155,9 @@ Result<void> decodeNodes(const TileInfo& info, const std::byte* raw, const Strip
       return bad("sky direction is longer than 1");
     for (size_t k = 0; k < node.sky_quadratic.size(); ++k)
       if (raw[layout.skyQuadratic() + n * k + i] == std::byte{0x80}) return bad("sky quadratic is below -1");
-    if (auto ok = checkNode(info, i, node, max_quanta); !ok) return ok;
+    if (node.quanta > max_quanta)
+      return bad("its row has " + std::to_string(node.quanta) + " samples, in this world a row has " + std::to_string(max_quanta) + " at most");
+    if (const char* const flaw = flawOf(node)) return bad(flaw);
   }
   return {};
 }
@@ -187,22 +187,14 @@ Result<void> decodeBlocks(const TileInfo& info, const std::byte* raw, const Stri
 
 }  // namespace
 
-Vec3 unpackNormal(OctNormal n) {
-  if (n.u == kZeroNormal || n.v == kZeroNormal) return {};
-  const float x = static_cast<float>(n.u) / 32767.0f, y = static_cast<float>(n.v) / 32767.0f;
-  const float z = 1.0f - std::abs(x) - std::abs(y);
-  if (z >= 0) return normalized({x, y, z});
-  return normalized({std::copysign(1.0f - std::abs(y), x), std::copysign(1.0f - std::abs(x), y), z});
-}
-
 Result<void> decodeStripBytes(const TileInfo& info, uint32_t quanta, std::span<const std::byte> stored, Strip& out,
                               std::vector<PartnerName>& partners, RowWords* words) try {
   StripHeader header;
   if (auto ok = checkHeader(info, stored, header); !ok) return ok;
   StripLayout layout{header.nodes, header.chunks, header.blocks};
-  thread_local std::vector<std::byte> scratch;  // bounded by kMaxStripRawBytes
-  scratch.resize(std::max(scratch.size(), header.raw_bytes + kEntryReadAhead));  // never smaller: what grows is written twice
-  const std::span payload = std::span(scratch).first(header.raw_bytes + kEntryReadAhead), raw = payload.first(header.raw_bytes);
+  thread_local UnsetVector<std::byte> payload;  // bounded by kMaxStripRawBytes
+  payload.resize(header.raw_bytes + kEntryReadAhead);
+  const std::span raw = std::span(payload).first(header.raw_bytes);
   if (auto ok = inflate(info, stored.subspan(kStripHeaderBytes), raw); !ok) return ok;
   if (auto ok = countLamps(info, raw, layout); !ok) return ok;
   out.id = info.id;

@@ -4,17 +4,16 @@
 #include <array>
 #include <bit>
 #include <cstring>
+#include <optional>
 #include <string>
 #include <utility>
 
 namespace ff::formats {
 namespace {
 
-// Sixteen bytes at once: in two integers, where a multiplication adds up, and in the compiler's own vectors. Any processor has both, and none
-// needs code of its own.
+// Sixteen bytes at once, in the compiler's own vectors: no processor needs code of its own.
 constexpr uint32_t kLanes = 16;
 typedef uint8_t Bytes __attribute__((vector_size(kLanes)));
-typedef uint64_t Halves __attribute__((vector_size(kLanes)));
 static_assert(std::endian::native == std::endian::little, "lanes are loaded as they lie, and a word's count is its lower byte");
 
 template <class T>
@@ -24,58 +23,56 @@ T load(const void* from) {
   return lanes;
 }
 
-// Byte k is the sum of the bytes 0 to k, as long as that is 255 at most; the bytes above the first that exceeds it are unspecified.
-uint64_t prefixSums(uint64_t bytes) { return bytes * 0x0101010101010101; }
-uint32_t lastByte(uint64_t bytes) { return static_cast<uint32_t>(bytes >> 56); }
+Bytes everyLane(uint8_t byte) { return Bytes{} + byte; }
 
-uint64_t sumOf(std::span<const uint8_t> bytes) {
+template <size_t n>
+Bytes movedUp(Bytes bytes) {
+  return [&]<size_t... k>(std::index_sequence<k...>) { return __builtin_shufflevector(Bytes{}, bytes, (kLanes - n + k)...); }(std::make_index_sequence<kLanes>());
+}
+
+// Of each byte and those before it, modulo 256.
+Bytes runningSums(Bytes bytes) {
+  bytes += movedUp<1>(bytes);
+  bytes += movedUp<2>(bytes);
+  bytes += movedUp<4>(bytes);
+  return bytes + movedUp<8>(bytes);
+}
+
+// to[k]: the sum of the first k steps, modulo 256. Returns the sum of all. Reads and writes up to kLanes bytes behind the end.
+uint64_t sumSteps(std::span<const uint8_t> steps, uint8_t* to) {
+  typedef uint16_t Pairs __attribute__((vector_size(kLanes)));
+  constexpr size_t kPairsHold = 65535 / (2 * 255) * kLanes;  // steps whose sum in pairs of lanes fits
+  *to++ = 0;
   uint64_t sum = 0;
-  for (size_t i = 0; i < bytes.size();) {
-    uint32_t part = 0;
-    for (const size_t end = std::min(bytes.size(), i + 65536); i < end; ++i) part += bytes[i];
-    sum += part;
+  Bytes before{};
+  for (size_t i = 0; i < steps.size();) {
+    Pairs pairs{};
+    for (const size_t end = std::min(steps.size(), i + kPairsHold); i < end; i += kLanes) {
+      auto here = load<Bytes>(steps.data() + i);
+      for (size_t k = std::min<size_t>(steps.size() - i, kLanes); k < kLanes; ++k) here[k] = 0;
+      pairs += (std::bit_cast<Pairs>(here) & 0xff) + (std::bit_cast<Pairs>(here) >> 8);
+      const Bytes sums = runningSums(here) + before;
+      before = everyLane(sums[kLanes - 1]);
+      std::memcpy(to + i, &sums, sizeof sums);
+    }
+    for (size_t k = 0; k < kLanes / 2; ++k) sum += pairs[k];
   }
   return sum;
 }
 
-// The words of a strip, run by run. Up to kLanes - 1 words behind a run's end are overwritten.
-class RunDecoder {
- public:
-  // column_steps, counts: of the strip's first run, with kEntryReadAhead bytes behind the last.
-  RunDecoder(const uint8_t* column_steps, const uint8_t* counts) : column_steps_(column_steps), counts_(counts) {}
-
-  // words: at least 1. to: with room for kLanes words more. Returns the last column, or less if that is past 255.
-  uint32_t next(uint32_t first_column, uint32_t words, uint16_t* to) {
-    const uint8_t *steps = column_steps_ + kLanes - 1, *counts = counts_;  // steps: of the next lanes, if any
-    uint64_t low = load<uint64_t>(column_steps_) << 8 | first_column, high = load<uint64_t>(column_steps_ + kLanes / 2 - 1);
-    column_steps_ += words - 1;
-    counts_ += words;
-    for (;;) {
-      low = prefixSums(low);
-      high = prefixSums(high + lastByte(low));
-      store(load<Bytes>(counts), std::bit_cast<Bytes>(Halves{low, high}), to);
-      if (words <= kLanes) return to[words - 1] >> 8;
-      words -= kLanes;
-      to += kLanes;
-      counts += kLanes;
-      low = load<uint64_t>(steps) + lastByte(high);
-      high = load<uint64_t>(steps + kLanes / 2);
-      steps += kLanes;
-    }
+// The words of one run: counts, and columns, which are sums of steps and `more` (modulo 256). Up to kLanes - 1 words behind its end are overwritten.
+void putRun(const uint8_t* counts, const uint8_t* sums, uint8_t more, size_t words, uint16_t* to) {
+  const Bytes add = everyLane(more);
+  for (size_t i = 0;; i += kLanes) {
+    const auto count = load<Bytes>(counts + i);
+    const Bytes column = load<Bytes>(sums + i) + add;
+    const Bytes low = __builtin_shufflevector(count, column, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+    const Bytes high = __builtin_shufflevector(count, column, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+    std::memcpy(to + i, &low, sizeof low);
+    std::memcpy(to + i + kLanes / 2, &high, sizeof high);
+    if (i + kLanes >= words) return;
   }
-  const uint8_t* columnSteps() const { return column_steps_; }
-  const uint8_t* counts() const { return counts_; }
-
- private:
-  static void store(Bytes counts, Bytes columns, uint16_t* to) {
-    const Bytes low = __builtin_shufflevector(counts, columns, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
-    const Bytes high = __builtin_shufflevector(counts, columns, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
-    std::memcpy(to, &low, sizeof low);
-    std::memcpy(to + kLanes / 2, &high, sizeof high);
-  }
-
-  const uint8_t *column_steps_, *counts_;
-};
+}
 
 // Copies a row's words, eight at once, and adds their counts up. Up to seven words behind the row are read and written, too.
 uint32_t copyRow(const uint16_t* from, size_t words, uint16_t* to) {
@@ -92,100 +89,110 @@ uint32_t copyRow(const uint16_t* from, size_t words, uint16_t* to) {
   }
 }
 
-// The runs of a strip, block by block, in the order of the payload.
-class Runs {
- public:
-  Runs(const uint8_t* raw, const StripLayout& layout)
-      : steps_(raw + layout.rowSteps()), words_low_(raw + layout.runWords()), words_high_(words_low_ + layout.runs), first_columns_(raw + layout.firstColumns()) {}
-  void beginBlock() {
-    row_ = kBeforeFirst;
-    first_column_ = 0;
-  }
-  void next() {
-    row_ += *steps_++ + 1u;
-    first_column_ = (first_column_ + *first_columns_++) & 0xff;
-    words_ = (uint32_t{*words_low_++} | uint32_t{*words_high_++} << 8) + 1;
-  }
-  uint32_t row() const { return row_; }
-  uint32_t firstColumn() const { return first_column_; }
-  uint32_t words() const { return words_; }
-
- private:
-  static constexpr uint32_t kBeforeFirst = ~0u;  // and 1 is 0
-  const uint8_t *steps_, *words_low_, *words_high_, *first_columns_;
-  uint32_t row_ = kBeforeFirst, first_column_ = 0, words_ = 0;
+// A run as the payload tells it.
+struct StoredRun {
+  uint8_t row, first_column;
+  uint16_t words_less_one;
+  uint32_t words() const { return words_less_one + 1u; }
 };
 
-// A strip's arrays in its raw payload, and where the next run is.
+// What decoding a strip needs besides the result.
+struct Scratch {
+  UnsetVector<StoredRun> runs;
+  UnsetVector<uint8_t> sums;    // of the column steps, as sumSteps() puts them
+  UnsetVector<uint16_t> words;  // by row, with kLanes words behind each
+  static Scratch& ofThread() {
+    thread_local Scratch scratch;
+    return scratch;
+  }
+};
+
+// A strip's arrays in its raw payload, and where the next run of each row goes.
 class EntryDecoder {
  public:
   EntryDecoder(const TileInfo& info, std::span<const std::byte> raw, const StripLayout& layout, uint32_t max_quanta, RowWords& words)
-      : info_(info), payload_bytes_(raw.size() - kEntryReadAhead), at_(reinterpret_cast<const uint8_t*>(raw.data())), layout_(layout), max_quanta_(max_quanta), words_(words), scratch_(scratch()) {}
+      : info_(info), payload_bytes_(raw.size() - kEntryReadAhead), at_(reinterpret_cast<const uint8_t*>(raw.data())), layout_(layout), max_quanta_(max_quanta), words_(words), scratch_(Scratch::ofThread()) {}
 
-  // Where each row's runs and words begin.
-  Result<void> findRows() {
+  // The runs, and where each row's runs and words begin.
+  Result<void> readRuns() {
     const auto contradict = [&] { return brokenStrip(info_, "sizes in the header and the number of runs or words contradict each other"); };
     for (size_t b = 0; b < layout_.blocks; ++b) layout_.runs += runsOf(b);
     if (layout_.columnSteps() > payload_bytes_) return contradict();
-    uint64_t words = 0;
-    Runs runs(at_, layout_);
+    const uint8_t *steps = at_ + layout_.rowSteps(), *words_low = at_ + layout_.runWords(), *words_high = words_low + layout_.runs, *column_steps = at_ + layout_.firstColumns();
+    scratch_.runs.resize(layout_.runs);
+    StoredRun* run = scratch_.runs.data();
     for (size_t b = 0; b < layout_.blocks; ++b) {
-      runs.beginBlock();
-      for (uint32_t left = runsOf(b); left > 0; --left) {
-        runs.next();
-        if (runs.row() >= layout_.nodes) return bad(b, "a row is outside the tile");
-        words += runs.words();
-        next_[runs.row()] += kOneRun + runs.words();
+      uint32_t row = kBeforeFirst;
+      uint8_t first_column = 0;
+      for (const StoredRun* const end = run + runsOf(b); run < end; ++run) {
+        row += *steps++ + 1u;
+        first_column = static_cast<uint8_t>(first_column + *column_steps++);
+        *run = {static_cast<uint8_t>(row), first_column, static_cast<uint16_t>(*words_low++ | *words_high++ << 8)};
+        Row& of = rows_[row % kTileNodes];
+        of.next += kOneRun + run->words();
+        of.partners |= uint64_t{1} << b % 64;
       }
+      if (row >= layout_.nodes) return bad(b, "a row is outside the tile");
     }
-    if (layout_.end() + 2 * words != payload_bytes_) return contradict();  // the end without any
-    layout_.words = static_cast<uint32_t>(words);
     words_.run_start.resize(layout_.nodes + size_t{1});
     words_.row_start.resize(layout_.nodes + size_t{1});
+    words_.row_partners.resize(layout_.nodes);
     uint64_t start = 0;
-    for (size_t r = 0; r <= layout_.nodes; ++r) {
+    for (size_t r = 0; r < layout_.nodes; ++r) {
       words_.run_start[r] = runsIn(start);
       words_.row_start[r] = wordsIn(start);
-      if (r < layout_.nodes) start += std::exchange(next_[r], start);
+      words_.row_partners[r] = rows_[r].partners;
+      start += std::exchange(rows_[r].next, start);
     }
+    const uint64_t words = start - layout_.runs * kOneRun;
+    if (layout_.end() + 2 * words != payload_bytes_) return contradict();  // the end without any
+    layout_.words = static_cast<uint32_t>(words);
+    words_.run_start.back() = layout_.runs;
+    words_.row_start.back() = layout_.words;
     return {};
   }
 
   Result<void> decode(std::span<Block> blocks, std::span<PartnerName> partners) {
     words_.runs.resize(layout_.runs);
-    scratch_.resize(std::max(scratch_.size(), size_t{layout_.words} + size_t{kLanes} * layout_.nodes));  // never smaller: what grows is written twice
-    uint16_t* const words = scratch_.data();
+    scratch_.words.resize(layout_.words + size_t{kLanes} * layout_.nodes);
+    const std::span steps(at_ + layout_.columnSteps(), at_ + layout_.counts());
+    scratch_.sums.resize(1 + steps.size() + kLanes);
+    const uint64_t rises = sumSteps(steps, scratch_.sums.data());
+    const uint8_t *const all_sums = scratch_.sums.data(), *sums = all_sums, *counts = at_ + layout_.counts();
+    const StoredRun* run = scratch_.runs.data();
+    uint16_t* const words = scratch_.words.data();
     RowWords::Run* const row_runs = words_.runs.data();
-    Runs runs(at_, layout_);
-    const uint8_t *const all_steps = at_ + layout_.columnSteps(), *const all_counts = at_ + layout_.counts();
-    RunDecoder decoder(all_steps, all_counts);
-    const uint8_t* next_repeat = firstZero(all_steps, all_counts);
-    uint64_t entries = 0, rise = 0;  // rise: from the runs' first columns to their last ones
+    size_t next_repeat = zeroFrom(steps, 0);
+    uint64_t entries = 0, seen_rises = 0;  // from the runs' first columns to their last ones
     for (size_t b = 0; b < layout_.blocks; ++b) {
-      Runs first = runs;
-      const uint8_t *steps = decoder.columnSteps(), *counts = decoder.counts(), *const first_count = counts;
-      uint32_t max_column = 0;
-      runs.beginBlock();
-      for (uint32_t left = runsOf(b); left > 0; --left) {
-        runs.next();
-        const uint32_t row = runs.row(), n = runs.words();
-        const uint64_t next = next_[row];
-        next_[row] = next + kOneRun + n;
-        const uint32_t column = decoder.next(runs.firstColumn(), n, words + wordsIn(next) + kLanes * row);
-        rise += uint64_t{column} - runs.firstColumn();
-        max_column = std::max(max_column, column);
+      const std::span runs(run, runsOf(b));
+      const size_t first_step = static_cast<size_t>(sums - all_sums);
+      const uint8_t* const first_count = counts;
+      uint8_t max_column = 0;
+      for (; run < runs.data() + runs.size(); ++run) {
+        const uint32_t n = run->words();
+        const uint64_t next = rows_[run->row].next;
+        rows_[run->row].next = next + kOneRun + n;
+        const auto more = static_cast<uint8_t>(run->first_column - *sums);
+        putRun(counts, sums, more, n, words + wordsIn(next) + kLanes * run->row);
+        counts += n;
+        sums += n - 1;
+        const auto last_column = static_cast<uint8_t>(*sums + more);
+        seen_rises += uint64_t{last_column} - run->first_column;
+        max_column = std::max(max_column, last_column);
         row_runs[runsIn(next)] = {static_cast<uint16_t>(b), static_cast<uint16_t>(n)};
       }
-      uint32_t repeats = 0;
-      if (next_repeat < decoder.columnSteps()) {
-        if (!countRepeats(first, runsOf(b), steps, counts, repeats)) return firstDisorder();
-        next_repeat = firstZero(decoder.columnSteps(), all_counts);
+      blocks[b].entries = static_cast<uint32_t>(counts - first_count);
+      if (next_repeat < static_cast<size_t>(sums - all_sums)) {
+        const auto repeats = countRepeats(runs, steps.subspan(first_step), first_count, next_repeat - first_step);
+        if (!repeats) return firstDisorder();
+        blocks[b].entries -= *repeats;
+        next_repeat = zeroFrom(steps, static_cast<size_t>(sums - all_sums));
       }
-      blocks[b].entries = static_cast<uint32_t>(decoder.counts() - first_count) - repeats;
-      partners[b].columns = max_column + 1;
+      partners[b].columns = uint32_t{max_column} + 1;
       entries += blocks[b].entries;
     }
-    if (rise != sumOf({all_steps, all_counts})) return firstDisorder();  // a column is past 255
+    if (seen_rises != rises) return firstDisorder();  // a column is past 255
     if (entries != info_.entries) return brokenStrip(info_, "blocks do not add up to the strip's entries");
     return {};
   }
@@ -193,12 +200,12 @@ class EntryDecoder {
   // The rows' words, one behind the other, and whether they add up.
   Result<void> close(std::span<const Node> nodes) {
     words_.words.resize(layout_.words + kLanes);
-    const uint8_t *const counts = at_ + layout_.counts(), *const end = at_ + layout_.end();
-    const bool any_zero = firstZero(counts, end) != end;
+    const std::span counts(at_ + layout_.counts(), layout_.words);
+    const bool any_zero = zeroFrom(counts, 0) < counts.size();
     for (size_t i = 0; i < nodes.size(); ++i) {
       const auto wrong = [&](const std::string& what) { return brokenStrip(info_, "row " + std::to_string(i) + what); };
       const char* const too_many = " has more samples than any in this world";
-      const std::span row = std::span(scratch_).subspan(words_.row_start[i] + kLanes * i, words_.row_start[i + 1] - words_.row_start[i]);
+      const std::span row = std::span<const uint16_t>(scratch_.words).subspan(words_.row_start[i] + kLanes * i, words_.row_start[i + 1] - words_.row_start[i]);
       if (row.size() > max_quanta_) return wrong(too_many);  // each is one at least; so the sum fits
       const uint32_t sum = copyRow(row.data(), row.size(), words_.words.data() + words_.row_start[i]);
       if (any_zero && std::ranges::any_of(row, [](uint16_t word) { return (word & kMaxWordCount) == 0; })) return wrong(": a count is zero");
@@ -217,40 +224,46 @@ class EntryDecoder {
   static constexpr uint64_t kOneRun = uint64_t{1} << 32;
   static uint32_t runsIn(uint64_t both) { return static_cast<uint32_t>(both >> 32); }
   static uint32_t wordsIn(uint64_t both) { return static_cast<uint32_t>(both); }
-  static const uint8_t* firstZero(const uint8_t* from, const uint8_t* end) {
-    const void* const zero = std::memchr(from, 0, static_cast<size_t>(end - from));
-    return zero ? static_cast<const uint8_t*>(zero) : end;
-  }
-  static std::vector<uint16_t>& scratch() {
-    thread_local std::vector<uint16_t> words;
-    return words;
+  struct Row {
+    uint64_t next = 0;  // first, how many it has
+    uint64_t partners = 0;
+  };
+  static constexpr uint32_t kBeforeFirst = ~0u;  // and 1 is 0
+
+  // Where the first zero is from there on; the size if there is none.
+  static size_t zeroFrom(std::span<const uint8_t> bytes, size_t from) {
+    const void* const zero = std::memchr(bytes.data() + from, 0, bytes.size() - from);
+    return zero ? static_cast<size_t>(static_cast<const uint8_t*>(zero) - bytes.data()) : bytes.size();
   }
   Error bad(size_t block, const char* what) const { return brokenStrip(info_, "block " + std::to_string(block) + ": " + what); }
   uint32_t runsOf(size_t block) const { return uint32_t{at_[layout_.blockRuns() + block]} + 1; }
+  // Of a block: words with the column of the word before, which go on with its entry. steps, counts: from its first on; zero: the first step of 0. None: one of
+  // them does not.
+  static std::optional<uint32_t> countRepeats(std::span<const StoredRun> runs, std::span<const uint8_t> steps, const uint8_t* counts, size_t zero) {
+    uint32_t repeats = 0;
+    size_t runs_before = 0, step = 0;
+    for (const StoredRun& run : runs) {
+      for (step += run.words_less_one; zero < step; zero = zeroFrom(steps, zero + 1), ++repeats)
+        if (counts[zero + runs_before] != kMaxWordCount) return std::nullopt;
+      ++runs_before;
+    }
+    return repeats;
+  }
   // The error of the first block that is not in order; there is one.
   Error firstDisorder() const {
-    Runs runs(at_, layout_);
-    const uint8_t *steps = at_ + layout_.columnSteps(), *counts = at_ + layout_.counts();
-    size_t b = 0;
-    for (uint32_t repeats = 0; countRepeats(runs, runsOf(b), steps, counts, repeats); ++b) {
-    }
-    return bad(b, "entries are not in order of row and column");
-  }
-  // Words with the column of the word before, which go on with its entry. False if one does not, or a column is past 255.
-  // Moves on to the next block.
-  static bool countRepeats(Runs& runs, uint32_t left, const uint8_t*& steps, const uint8_t*& counts, uint32_t& repeats) {
-    for (runs.beginBlock(); left > 0; --left, ++counts) {
-      runs.next();
-      uint32_t column = runs.firstColumn();
-      for (uint32_t n = runs.words(); n > 1; --n, ++steps, ++counts) {
-        if (*steps == 0 && *counts != kMaxWordCount) return false;
-        repeats += *steps == 0 ? 1 : 0;
-        column += *steps;
+    const uint8_t *step = at_ + layout_.columnSteps(), *count = at_ + layout_.counts();
+    const StoredRun* run = scratch_.runs.data();
+    for (size_t b = 0;; ++b)
+      for (uint32_t left = runsOf(b); left > 0; --left, ++run, ++count) {
+        uint32_t column = run->first_column;
+        for (uint32_t n = run->words_less_one; n > 0; --n, ++count) {
+          if (*step == 0 && *count != kMaxWordCount) return bad(b, kDisorder);
+          column += *step++;
+        }
+        if (column >= kTileNodes) return bad(b, kDisorder);
       }
-      if (column >= kTileNodes) return false;
-    }
-    return true;
   }
+  static constexpr const char* kDisorder = "entries are not in order of row and column";
 
   const TileInfo& info_;
   size_t payload_bytes_;
@@ -258,8 +271,8 @@ class EntryDecoder {
   StripLayout layout_;
   uint32_t max_quanta_;
   RowWords& words_;
-  std::vector<uint16_t>& scratch_;  // the rows with kLanes words behind each
-  std::array<uint64_t, kTileNodes> next_{};  // of each row; first, how many it has
+  Scratch& scratch_;
+  std::array<Row, kTileNodes> rows_{};
 };
 
 }  // namespace
@@ -271,7 +284,7 @@ Error brokenStrip(const TileInfo& info, const std::string& message) {
 Result<void> decodeEntries(const TileInfo& info, std::span<const std::byte> raw, StripLayout layout, uint32_t max_quanta, Strip& strip,
                            std::span<PartnerName> partners, RowWords& words) {
   EntryDecoder decoder(info, raw, layout, max_quanta, words);
-  if (auto ok = decoder.findRows(); !ok) return ok;
+  if (auto ok = decoder.readRuns(); !ok) return ok;
   if (auto ok = decoder.decode(strip.blocks, partners); !ok) return ok;
   return decoder.close(strip.nodes);
 }

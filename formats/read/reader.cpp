@@ -217,43 +217,57 @@ ChunkCell ancestorOf(ChunkCell cell, uint32_t from, uint32_t level) {
   return cell;
 }
 
-}  // namespace
+// Below a chunk that covers the place, with the world's lock held. Null: it is not there, or in one of those that are put on `absent`, which nobody holds.
+ChunkPtr search(const Chunk& at, uint32_t level, const TileName& name, std::vector<ChildRef>& absent) {
+  if (at.level == level) return holds(at, name.tile) ? at.shared_from_this() : nullptr;
+  const ChunkCell next = ancestorOf(name.chunk, level, at.level - 1);
+  const uint8_t octant = octantOf(next);
+  for (uint32_t k = 0; k < at.children.size(); ++k) {
+    if (at.parent ? at.child_octants[k] != octant : !same(at.children[k].cell, next)) continue;
+    ChunkPtr below = childOf(at, k);
+    if (!below) {
+      absent.push_back({at.shared_from_this(), k});
+      continue;
+    }
+    if (below->level > level) below = search(*below, level, name, absent);
+    else if (!holds(*below, name.tile)) continue;
+    if (below) return below;
+  }
+  return nullptr;
+}
 
-Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const { return find(level, name, from, nullptr); }
-
-Result<ChunkPtr> World::find(uint32_t level, const TileName& name, const ChunkPtr& from, std::vector<ChildRef>* absent) const {
-  // From the lowest chunk that covers the place up: a cell may have several records.
-  for (const Chunk* at = from.get();; at = at->parent.get()) {
+// As search(), from any chunk of the level or above: from the lowest that covers the place up, as a cell may have several records.
+ChunkPtr find(const Chunk& from, uint32_t level, const TileName& name, std::vector<ChildRef>& absent) {
+  for (const Chunk* at = &from;; at = at->parent.get()) {
     if (at->parent && !same(at->cell, ancestorOf(name.chunk, level, at->level))) continue;
-    auto found = search(*at, level, name, absent);
-    if (!found || *found || !at->parent || (absent && !absent->empty())) return found;
+    ChunkPtr found = search(*at, level, name, absent);
+    if (found || !at->parent || !absent.empty()) return found;
   }
 }
 
-// Below a chunk that covers the place; null: it is not there.
-Result<ChunkPtr> World::search(const Chunk& at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const {
-  if (at.level == level) return holds(at, name.tile) ? at.shared_from_this() : ChunkPtr();
-  const ChunkCell next = ancestorOf(name.chunk, level, at.level - 1);
-  for (uint32_t k = 0; k < at.children.size(); ++k) {
-    if (at.parent ? at.child_octants[k] != octantOf(next) : !same(at.children[k].cell, next)) continue;
-    ChunkPtr below = absent ? childOf(at, k) : childHere(at, k);
-    if (!below && absent) {
-      absent->push_back({at.shared_from_this(), k});
-      continue;
+}  // namespace
+
+Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
+  std::vector<ChunkPtr> read;
+  for (std::vector<ChildRef> absent;; absent.clear()) {
+    {
+      const std::lock_guard lock(state_->mutex);
+      ChunkPtr found = find(*from, level, name, absent);
+      if (found || absent.empty()) return found;
     }
-    if (!below) {
-      auto read = child(at.shared_from_this(), k);
-      if (!read) return read;
-      below = std::move(*read);
-    }
-    if (below->level == level) {
-      if (holds(*below, name.tile)) return below;
-      continue;
-    }
-    auto found = search(*below, level, name, absent);
-    if (!found || *found) return found;
+    if (auto ok = readChildren(absent, read); !ok) return ok.error();
   }
-  return ChunkPtr();
+}
+
+// Into `read`, so that they stay.
+Result<void> World::readChildren(std::span<const ChildRef> children, std::vector<ChunkPtr>& read, const ReadOptions& options) const {
+  bringChildren(children, options);
+  for (const auto& [parent, number] : children) {
+    auto chunk = child(parent, number, options);
+    if (!chunk) return chunk.error();
+    read.push_back(std::move(*chunk));
+  }
+  return {};
 }
 
 Result<TileRef> World::tile(TileId id) const {
@@ -321,15 +335,14 @@ Result<size_t> World::findPartners(const TileRef& tile, std::span<const PartnerN
         ChunkCell cell;
         for (size_t a = 0; a < 3; ++a) cell[a] = static_cast<int32_t>(static_cast<uint32_t>(tile.chunk->cell[a]) + static_cast<uint32_t>(names[b].step[a]));
         asked.clear();
-        auto found = find(tile.chunk->level, {cell, names[b].tile}, partners.empty() ? tile.chunk : partners.back().chunk, &asked);
-        if (!found) return found.error();
-        at = found->get();
+        ChunkPtr found = find(partners.empty() ? *tile.chunk : *partners.back().chunk, tile.chunk->level, {cell, names[b].tile}, asked);
+        at = found.get();
         if (!at && asked.empty()) return b;
         if (!at) {
           absent.insert(absent.end(), asked.begin(), asked.end());
           continue;
         }
-        partners.push_back({std::move(*found), b});
+        partners.push_back({std::move(found), b});
       }
       partners.back().end_block = b + 1;
       __builtin_prefetch(&at->tiles[names[b].tile - at->first_number].nodes);  // they lie far apart
@@ -339,12 +352,7 @@ Result<size_t> World::findPartners(const TileRef& tile, std::span<const PartnerN
     const auto key = [](const ChildRef& c) { return std::pair(c.parent.get(), c.child); };
     std::ranges::sort(absent, {}, key);
     absent.erase(std::ranges::unique(absent, {}, key).begin(), absent.end());
-    bringChildren(absent, options);
-    for (const auto& [parent, number] : absent) {
-      auto chunk = child(parent, number, options);
-      if (!chunk) return chunk.error();
-      read.push_back(std::move(*chunk));
-    }
+    if (auto ok = readChildren(absent, read, options); !ok) return ok.error();
   }
 }
 

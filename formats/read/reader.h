@@ -99,9 +99,7 @@ class World {
   struct State;
   explicit World(std::unique_ptr<State> state);
   ChunkPtr childHere(const Chunk& parent, uint32_t child) const;  // null: nobody holds it
-  // absent: not null: chunks that are not here are put on it instead of being read, and what may lie in them is not found; the caller holds the lock.
-  Result<ChunkPtr> find(uint32_t level, const TileName& name, const ChunkPtr& from, std::vector<ChildRef>* absent) const;
-  Result<ChunkPtr> search(const Chunk& at, uint32_t level, const TileName& name, std::vector<ChildRef>* absent) const;
+  Result<void> readChildren(std::span<const ChildRef> children, std::vector<ChunkPtr>& read, const ReadOptions& options = {}) const;
   Result<size_t> findPartners(const TileRef& tile, std::span<const PartnerName> names, PartnerChunks& partners, const ReadOptions& options) const;
   Result<ChunkPtr> chunkWith(uint32_t level, uint64_t LevelCount::*what, uint64_t number) const;
   std::unique_ptr<State> state_;

@@ -191,11 +191,14 @@ void expectSameAsWords(const TileInfo& info, uint32_t quanta, std::span<const st
   for (uint32_t r = 0; r < arrays.nodes.size(); ++r) {
     ASSERT_EQ(words.row_start[r], word);
     ASSERT_EQ(words.run_start[r], runs);
+    uint64_t partners_of_row = 0;
     for (; runs < words.run_start[r + 1]; ++runs) {
       const RowWords::Run& run = words.runs[runs];
       ASSERT_TRUE(runs == words.run_start[r] || run.partner > words.runs[runs - 1].partner);
+      partners_of_row |= uint64_t{1} << run.partner % 64;
       for (const size_t end = word + run.words; word < end; ++word) found[{r, run.partner, words.words[word] >> 8}] += words.words[word] & kMaxWordCount;
     }
+    ASSERT_EQ(words.row_partners[r], partners_of_row);
   }
   EXPECT_EQ(word, words.words.size());
   EXPECT_EQ(runs, words.runs.size());
