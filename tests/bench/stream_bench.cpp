@@ -49,7 +49,7 @@ struct Options {
   uint32_t max_applied_tiles = 0;
   uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
-  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false;
+  bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false, real_time = false;
   int iterations() const { return solver == "gather" ? 2 : 1; }  // a frame, as the C interface does
 };
 
@@ -65,6 +65,12 @@ void runOn(bool first_core) {
   CPU_ZERO(&cores);
   for (unsigned core = first_core ? 0 : 1; core < (first_core ? 1 : std::thread::hardware_concurrency()); ++core) CPU_SET(core, &cores);
   if (sched_setaffinity(0, sizeof cores, &cores) != 0) std::fprintf(stderr, "ff_bench_stream: the system does not let threads have cores of their own\n");
+}
+
+// Whether other threads may take the thread's core. Those that it starts have the same policy.
+void keepCore(bool keep) {
+  const sched_param priority{.sched_priority = keep ? 1 : 0};
+  if (sched_setscheduler(0, keep ? SCHED_FIFO : SCHED_OTHER, &priority) != 0) std::fprintf(stderr, "ff_bench_stream: the system does not let threads keep their core\n");
 }
 
 // Bytes that the kernel has read from disks for this process.
@@ -244,6 +250,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
   for (int pass = 0; pass < path.passes; ++pass) {
     const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
     if (options.own_core) runOn(false);
+    if (options.real_time) keepCore(false);
     std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
                                                  : options.reader == "io_uring" ? orExit(stream::makeUringSource(world))
                                                                                 : stream::makeFileSource(world);
@@ -279,6 +286,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     for (const stream::StripPtr& strip : streamer->active()) there.insert(strip->id);
     if (!options.warm) dropFromPageCache(world);
     if (options.own_core) runOn(true);
+    if (options.real_time) keepCore(true);
     (void)solver.takeSteps();
     (void)solver.takeUpdate();
     const uint64_t device_before = deviceBytes();
@@ -394,10 +402,11 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
     return number(quantile(flown.frame_cpu_ms, share)) + ", of these the solver's tables " + number(quantile(flown.solver_update_cpu_ms, share)) + "; on the clock the streamer " +
            number(quantile(flown.stream_ms, share)) + ", matrix and light " + number(quantile(flown.matrix_ms, share));
   };
+  const auto over_limit = std::ranges::count_if(flown.frame_ms, [](double ms) { return ms > 1; });
   for (const auto& [metric, share, limit] : {std::tuple{"stream.frame_p50_ms", 0.5, std::nan("")}, std::tuple{"stream.frame_p99_ms", 0.99, 0.2},
                                              std::tuple{"stream.frame_max_ms", 1.0, 1.0}})
     print(metric, quantile(flown.frame_ms, share), "ms", limit,
-          note + "; the frame's thread but for the solver's steps, on the clock; " + std::string("ms of a core's time ") + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles; at most " + number(flown.most_undisturbed_ms) + " ms where the host of this machine took nothing",
+          note + "; the frame's thread but for the solver's steps, on the clock; " + std::to_string(over_limit) + " frames took more than 1 ms; ms of a core's time " + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles; at most " + number(flown.most_undisturbed_ms) + " ms where the host of this machine took nothing",
           "cpu");
   if (quantile(flown.uploaded, 1) > 0)
     for (const auto& [metric, share] : {std::pair{"stream.uploaded_p50_kib", 0.5}, std::pair{"stream.uploaded_p99_kib", 0.99}, std::pair{"stream.uploaded_max_kib", 1.0}})
@@ -511,6 +520,7 @@ int main(int argc, char** argv) {
   app.add_option("--max-patches", options.max_patches, "of the finest level, active at once")->capture_default_str();
   app.add_flag("--stepped", options.stepped, "a frame follows when all that the one before asked for is there, and finds that 1/60 s has passed: for solvers that take longer");
   app.add_flag("--own-core", options.own_core, "the frame's thread has the first core for itself, all others share the rest");
+  app.add_flag("--real-time", options.real_time, "the frame's thread keeps its core until it waits (SCHED_FIFO)");
   app.add_option("--rays", options.rays, "a patch, of the town that is baked")->capture_default_str();
   app.add_option("--seconds", options.seconds, "of each path, about")->check(CLI::Range(1.0, 3600.0))->capture_default_str();
   app.add_option("--path", options.path, "paths whose names begin so, reload, or decoding; all without it");
