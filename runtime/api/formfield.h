@@ -13,7 +13,8 @@
  * Threads: a device and its worlds are used by one thread at a time (any). Callbacks come on the calling thread. The
  *   library's own threads read, decode, put matrices together and, on the CPU, share the solver's work. All but those of
  *   the solver leave the frame's thread its core when they are woken: their policy is SCHED_BATCH where that of the thread
- *   that opened the world was SCHED_OTHER, else the same.
+ *   that opened the world was SCHED_OTHER, else the same. On a machine whose cores are all at work a frame may still wait
+ *   milliseconds for one; a thread that gives itself a real-time policy (SCHED_FIFO) after formfieldOpenWorld does not.
  * The frame path (formfieldFrame, formfieldRecord, formfieldSample, the setters and everything that only reads):
  *   allocates and frees nothing and waits for no file after formfieldOpenWorld, errors aside. formfieldFrame waits for
  *   the device that it runs on.
