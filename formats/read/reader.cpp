@@ -247,18 +247,6 @@ ChunkPtr find(const Chunk& from, uint32_t level, const TileName& name, std::vect
 
 }  // namespace
 
-Result<ChunkPtr> World::chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const {
-  std::vector<ChunkPtr> read;
-  for (std::vector<ChildRef> absent;; absent.clear()) {
-    {
-      const std::lock_guard lock(state_->mutex);
-      ChunkPtr found = find(*from, level, name, absent);
-      if (found || absent.empty()) return found;
-    }
-    if (auto ok = readChildren(absent, read); !ok) return ok.error();
-  }
-}
-
 // Into `read`, so that they stay.
 Result<void> World::readChildren(std::span<const ChildRef> children, std::vector<ChunkPtr>& read, const ReadOptions& options) const {
   bringChildren(children, options);
@@ -306,11 +294,16 @@ Result<ChunkPtr> World::chunkWith(uint32_t level, uint64_t LevelCount::*what, ui
 Result<TileRef> World::tile(uint32_t level, const TileName& name) const {
   const auto none = [&](const std::string& what) { return Error{ErrorCode::kUsage, state_->path, "", what, "ffinspect locate names what is at a point"}; };
   if (level >= levels().size()) return none("has no level " + std::to_string(level));
-  auto chunk = chunkOf(level, name, root());
-  if (!chunk) return chunk.error();
-  if (!*chunk) return none("has no tile " + std::to_string(name.tile) + " of " + chunkText(level, name.chunk));
-  const uint32_t index = name.tile - (*chunk)->first_number;
-  return TileRef{std::move(*chunk), index};
+  std::vector<ChunkPtr> read;
+  for (std::vector<ChildRef> absent;; absent.clear()) {
+    const ChunkPtr chunk = [&] {
+      const std::lock_guard lock(state_->mutex);
+      return find(*root(), level, name, absent);
+    }();
+    if (chunk) return TileRef{chunk, name.tile - chunk->first_number};
+    if (absent.empty()) return none("has no tile " + std::to_string(name.tile) + " of " + chunkText(level, name.chunk));
+    if (auto ok = readChildren(absent, read); !ok) return ok.error();
+  }
 }
 
 Result<World::Tiles> World::childTiles(const TileRef& tile, const ReadOptions& options) const {

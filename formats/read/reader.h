@@ -60,8 +60,6 @@ class World {
   Result<ChunkPtr> child(const ChunkPtr& parent, uint32_t child, const ReadOptions& options = {}) const;
   // Several that will be asked for by child(), as bring().
   void bringChildren(std::span<const ChildRef> children, const ReadOptions& options = {}) const;
-  // The chunk that holds a tile, found from any chunk of the same level or the root; null where nothing has that name.
-  Result<ChunkPtr> chunkOf(uint32_t level, const TileName& name, const ChunkPtr& from) const;
   // By number. kUsage: there is no such tile.
   Result<TileRef> tile(TileId id) const;
   // kUsage: there is no such tile.
