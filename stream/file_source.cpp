@@ -13,6 +13,7 @@ namespace ff::stream {
 namespace {
 
 constexpr int kThreads = 4, kRemoteThreads = 16;
+constexpr int kReadsAtOnce = 16;  // some of them wait where there are few threads, so that none waits for a read
 // Over a network a read costs a round trip, and the cache brings whole pieces of 64 KiB anyway.
 constexpr SharedReads kRemoteReads{.gap_bytes = 32 << 10, .max_bytes = 128 << 10, .strips_per_read = 4};
 
@@ -40,6 +41,7 @@ class ThreadSource final : public TileSource {
   }
 
   SharedReads sharedReads() const override { return shared_; }
+  int readsAtOnce() const override { return kReadsAtOnce; }
   const char* name() const override { return "threads"; }
 
  private:

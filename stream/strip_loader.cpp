@@ -24,6 +24,7 @@ constexpr std::chrono::milliseconds kHeldLook{2};      // whether the limit lets
 constexpr size_t kMaxChunks = 1024;                    // asked for at once; more wait for the next time
 constexpr size_t kMaxArrivedChunks = 64;               // that wait to be taken
 constexpr size_t kStripsPerRead = 16;                  // at most
+constexpr size_t kMostWaiting = 32;                    // strips that wait to be taken when a read begins
 constexpr size_t kNextOfQueue = 64;                    // of these the neighbours of the most urgent share its read
 
 // What holds both, where they may share a read.
@@ -56,7 +57,8 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
     : world_(world),
       source_(source),
       shared_(source.sharedReads()),
-      depth_(static_cast<size_t>(std::max(depth, 1))),
+      depth_(static_cast<size_t>(std::max(std::min(depth, source.readsAtOnce()), 1))),
+      max_waiting_(std::min(2 * depth_, kMostWaiting)),
       strips_at_once_(depth_ * std::max(shared_.strips_per_read, 1u)),
       limit_(limit),
       now_(std::move(now)) {
@@ -67,7 +69,7 @@ StripLoader::StripLoader(const formats::World& world, TileSource& source, int de
   }
   sorted_.reserve(max_queued);
   const size_t max_under_way = strips_at_once_ - 1 + kStripsPerRead;
-  const size_t max_arrived = 2 * depth_ + max_under_way;  // that wait, and what was under way then
+  const size_t max_arrived = max_waiting_ + max_under_way;  // that wait, and what was under way then
   for (std::vector<Arrival>* list : {&taken_, &arrived_}) list->reserve(max_arrived);
   for (std::vector<ChunkArrival>* list : {&taken_chunks_, &arrived_chunks_}) list->reserve(kMaxArrivedChunks);
   for (auto* list : {&next_retired_, &submitted_retired_, &incoming_retired_}) list->reserve(max_retired + 2 * max_arrived);
@@ -255,7 +257,7 @@ std::optional<StripLoader::Read> StripLoader::nextAlone() {
 }
 
 std::optional<StripLoader::Read> StripLoader::nextQueued(Clock::time_point now) {
-  while (!queue_.tiles.empty() && under_way_.size() < strips_at_once_ && arrived_count_.load() < 2 * depth_) {
+  while (!queue_.tiles.empty() && under_way_.size() < strips_at_once_ && arrived_count_.load() < max_waiting_) {
     if (!limit_.lets(now)) {
       held_ = true;
       return std::nullopt;

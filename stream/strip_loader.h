@@ -46,7 +46,7 @@ class StripLoader {
   };
 
   // Throws std::system_error where no thread can be started. Memory that runs out later is a failure of the strip that it was for.
-  // depth: reads at any time. None begins while as many strips (SharedReads::strips_per_read times as many) are being read or decoded, or 2 * depth wait to be taken.
+  // depth: reads at any time. None begins while as many strips (SharedReads::strips_per_read times as many) are being read or decoded, or 2 * depth, 32 at most, wait to be taken.
   // max_queued: tiles in a queue, at most. max_retired: strips that leave at once, at most. limit: when strips may be read, at the time `now`.
   StripLoader(const formats::World& world, TileSource& source, int depth, int decode_threads, size_t max_queued,
               size_t max_retired, RateLimit limit = RateLimit(0), Now now = std::chrono::steady_clock::now);
@@ -147,7 +147,7 @@ class StripLoader {
   const formats::World& world_;
   TileSource& source_;
   const SharedReads shared_;
-  const size_t depth_, strips_at_once_;
+  const size_t depth_, max_waiting_, strips_at_once_;
 
   // The owner's.
   Queue next_;

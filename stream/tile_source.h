@@ -3,6 +3,7 @@
 #pragma once
 #include <cstddef>
 #include <functional>
+#include <limits>
 #include <vector>
 
 #include "formats/model.h"
@@ -27,6 +28,8 @@ class TileSource {
   // extent: of the tile's strip, or one that holds the strips of several tiles, as sharedReads() allows; `done` then gets the tile that was given here.
   virtual void read(formats::TileId id, const formats::Extent& extent, const formats::ReadOptions& options, Done done) = 0;
   virtual SharedReads sharedReads() const { return {}; }  // always the same
+  // More wait in it, in the order in which they came. Always the same.
+  virtual int readsAtOnce() const { return std::numeric_limits<int>::max(); }
   virtual const char* name() const = 0;  // "io_uring", "threads", "memory"
 };
 

@@ -65,6 +65,7 @@ class UringSource final : public TileSource {
   }
 
   SharedReads sharedReads() const override { return kLocalReads; }
+  int readsAtOnce() const override { return kRingEntries; }
   const char* name() const override { return "io_uring"; }
 
  private:

@@ -34,6 +34,7 @@ class LateSource final : public stream::TileSource {
     });
   }
   stream::SharedReads sharedReads() const override { return below_->sharedReads(); }
+  int readsAtOnce() const override { return below_->readsAtOnce(); }
   const char* name() const override { return "late"; }
 
  private:

@@ -646,6 +646,16 @@ TEST_F(StreamerTest, UpdateNeverWaitsForASourceAndATeleportDropsWhatIsQueued) {
   EXPECT_EQ(settledAt(*streamer, {60, 1, 60}), wantedByDefinition({60, 1, 60}, 6, 1.6f));
 }
 
+TEST_F(StreamerTest, ASourceIsNotGivenMoreReadsThanItIsGoodFor) {
+  auto source = memory();
+  source->setReadsAtOnce(3);
+  MemorySource* const watched = source.get();
+  const auto streamer = make(kNoHistory, std::move(source));
+  EXPECT_GT(kNoHistory.queue_depth, 3);
+  EXPECT_EQ(settledAt(*streamer, {60, 1, 60}), wantedByDefinition({60, 1, 60}, 6, 1.6f));
+  EXPECT_LE(watched->maxWaiting(), 3u);
+}
+
 TEST_F(StreamerTest, TilesAheadAreReadBeforeTilesBehind) {
   for (const float direction : {-1.0f, 1.0f}) {
     std::vector<TileId> order;  // written under the source's lock, read after settling

@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <random>
@@ -56,6 +57,8 @@ class MemorySource final : public TileSource {
   }
 
   SharedReads sharedReads() const override { return sharing_.allowed; }
+  int readsAtOnce() const override { return reads_at_once_; }
+  void setReadsAtOnce(int reads) { reads_at_once_ = reads; }  // before it is used
   const char* name() const override { return "memory"; }
   // While held, nothing is answered. Release before destruction.
   void hold(bool held) {
@@ -82,6 +85,7 @@ class MemorySource final : public TileSource {
   }
 
  private:
+  int reads_at_once_ = std::numeric_limits<int>::max();
   struct Item {
     formats::TileId id;
     Done done;
