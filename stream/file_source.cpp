@@ -13,7 +13,7 @@ namespace ff::stream {
 namespace {
 
 constexpr int kThreads = 4, kRemoteThreads = 16;
-constexpr int kReadsAtOnce = 16;  // some of them wait where there are few threads, so that none waits for a read
+constexpr int kReadsAtOnce = 16;  // four for each local thread, so that none of these waits for the next; one for each remote one
 // Over a network a read costs a round trip, and the cache brings whole pieces of 64 KiB anyway.
 constexpr SharedReads kRemoteReads{.gap_bytes = 32 << 10, .max_bytes = 128 << 10, .strips_per_read = 4};
 

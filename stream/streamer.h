@@ -29,8 +29,8 @@ struct StreamSettings {
   uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
-  int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 80 m/s wants some 250 a second, at times twice as many,
-                                                // also where each takes 0.1 s
+  int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 60 m/s wants some 200 a second, also where each
+                                                // takes 0.1 s, and 32 were too few for it (RESULTS.md)
   float ahead_seconds = 0.5f;                   // what the observer's path will want in this time, and in some reads' time more, is read ahead; 0: nothing
   uint64_t ahead_bytes = uint64_t{4} << 20;     // of memory_bytes, at most, for what is read ahead
   uint64_t hint_bytes = uint64_t{16} << 20;     // of memory_bytes, at most, for what expect() names

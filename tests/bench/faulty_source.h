@@ -30,6 +30,7 @@ class FaultySource final : public stream::TileSource {
     });
   }
   stream::SharedReads sharedReads() const override { return below_->sharedReads(); }
+  int readsAtOnce() const override { return below_->readsAtOnce(); }
   const char* name() const override { return "faulty"; }
 
  private:

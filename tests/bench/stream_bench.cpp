@@ -59,11 +59,12 @@ double threadMs() {
   return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
 }
 
-// Lets the thread, and those that it starts, run on the first core alone, or on all but that.
-void runOn(bool first_core) {
+// Where the thread, and those that it starts, may run.
+enum class Cores { kAll, kFirst, kOthers };
+void runOn(Cores which) {
   cpu_set_t cores;
   CPU_ZERO(&cores);
-  for (unsigned core = first_core ? 0 : 1; core < (first_core ? 1 : std::thread::hardware_concurrency()); ++core) CPU_SET(core, &cores);
+  for (unsigned core = which == Cores::kOthers ? 1 : 0; core < (which == Cores::kFirst ? 1 : std::thread::hardware_concurrency()); ++core) CPU_SET(core, &cores);
   if (sched_setaffinity(0, sizeof cores, &cores) != 0) std::fprintf(stderr, "ff_bench_stream: the system does not let threads have cores of their own\n");
 }
 
@@ -249,8 +250,7 @@ uint64_t lateByDefinition(const formats::WholeWorld& world, const stream::Stream
 void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight& surface, const FlightPath& path, double hint_seconds, Flown& flown) {
   for (int pass = 0; pass < path.passes; ++pass) {
     const formats::World world = orExit(formats::World::open(whole.path()));  // its index is read as it flies
-    if (options.own_core) runOn(false);
-    if (options.real_time) keepCore(false);
+    if (options.own_core) runOn(Cores::kOthers);
     std::unique_ptr<stream::TileSource> source = options.reader == "threads" ? stream::makeThreadSource(world)
                                                  : options.reader == "io_uring" ? orExit(stream::makeUringSource(world))
                                                                                 : stream::makeFileSource(world);
@@ -285,7 +285,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     std::set<formats::TileId> there, used;
     for (const stream::StripPtr& strip : streamer->active()) there.insert(strip->id);
     if (!options.warm) dropFromPageCache(world);
-    if (options.own_core) runOn(true);
+    if (options.own_core) runOn(Cores::kFirst);
     if (options.real_time) keepCore(true);
     (void)solver.takeSteps();
     (void)solver.takeUpdate();
@@ -371,6 +371,8 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       flown.near.add(surface.near());
       flown.far.add(surface.far());
     }
+    if (options.own_core) runOn(Cores::kAll);
+    if (options.real_time) keepCore(false);
     flown.seconds += path.pass_seconds;
     flown.device_bytes += deviceBytes() - device_before;
     const stream::StreamStats after = streamer->stats();

@@ -64,6 +64,7 @@ class FaultySource final : public TileSource {
     });
   }
   SharedReads sharedReads() const override { return good_->sharedReads(); }
+  int readsAtOnce() const override { return good_->readsAtOnce(); }
   const char* name() const override { return "faulty"; }
 
  private:
@@ -155,6 +156,7 @@ class StuckSource final : public TileSource {
     stuck_.notify_all();
   }
   SharedReads sharedReads() const override { return good_->sharedReads(); }
+  int readsAtOnce() const override { return good_->readsAtOnce(); }
   const char* name() const override { return "stuck"; }
 
  private:
