@@ -27,14 +27,16 @@ Generation::Generation(std::unique_ptr<formats::World> opened, std::unique_ptr<s
   if (settings.probes) probes.emplace(*world, slots, *settings.probes);
 }
 
-Result<void> Generation::prepare(const formats::WorldInfo& before, const std::function<stream::Observers()>& where, const std::atomic<bool>& stop) {
+Result<void> Generation::prepare(const formats::WorldInfo& before, const std::function<Followed()>& where, const std::atomic<bool>& stop) {
   if (auto whole = world->openShards({.cancelled = &stop}); !whole) return whole;
   const auto until = std::chrono::steady_clock::now() + std::chrono::duration_cast<std::chrono::steady_clock::duration>(std::chrono::duration<float>(kMaxPrepareSeconds));
   const auto wait = [&](const auto& pending) {
     while (!stop && pending() && std::chrono::steady_clock::now() < until) std::this_thread::sleep_for(kLook);
   };
   wait([&] {
-    streamer->update(where());
+    const Followed now = where();
+    streamer->setLead(now.lead);
+    streamer->update(now.observers);
     return streamer->stats().pending_tiles > 0;
   });
   if (streamer->stats().failed > 0) return Error{ErrorCode::kInvalidFile, "", "", streamer->lastFailure(), ""};
@@ -43,7 +45,7 @@ Result<void> Generation::prepare(const formats::WorldInfo& before, const std::fu
   std::vector<ProbeTile> tiles;
   listProbeTiles(tiles);
   slots.follow(updater.matrix().tiles);
-  probes->follow(where(), tiles, updater.matrix().leaf, 0);
+  probes->follow(where().observers, tiles, updater.matrix().leaf, 0);
   wait([&] { return !probes->settled(); });
   return {};
 }
@@ -72,9 +74,9 @@ void Reloader::ask() {
   wake_.notify_one();
 }
 
-void Reloader::follow(const stream::Observers& observers) {
+void Reloader::follow(const stream::Observers& observers, const stream::Lead& lead) {
   const std::lock_guard lock(mutex_);
-  observers_ = observers;
+  followed_ = {observers, lead};
 }
 
 std::unique_ptr<Generation> Reloader::take() {
@@ -148,12 +150,13 @@ Result<std::unique_ptr<Generation>> Reloader::openNext(bool asked) {
   if (!asked && (*next)->world->checksum() == checksum_) return std::unique_ptr<Generation>();
   const Vec3 step = originStep(before_, (*next)->world->info());
   const auto where = [&] {
-    stream::Observers observers;
+    Followed now;
     {
       const std::lock_guard lock(mutex_);
-      observers = observers_;
+      now = followed_;
     }
-    return observers.moved(step);
+    now.observers = now.observers.moved(step);
+    return now;
   };
   if (auto prepared = (*next)->prepare(before_, where, stop_); !prepared) return prepared.error();
   return next;

@@ -28,6 +28,12 @@ struct GenerationSettings {
   uint32_t max_applied_tiles = 0;
 };
 
+// What a re-bake is prepared for.
+struct Followed {
+  stream::Observers observers;
+  stream::Lead lead;
+};
+
 // One thread at a time.
 struct Generation {
   // Loads the coarsest level. solver: outlives it, and is not called before the first frame. Errors: as Streamer::create.
@@ -35,8 +41,8 @@ struct Generation {
   Generation(std::unique_ptr<formats::World> opened, std::unique_ptr<stream::Streamer> strips, const GenerationSettings& settings, Solver& solver);
 
   // Before the first frame: brings near what observers want, puts its matrix together and loads the probes' triangles, for kMaxPrepareSeconds at most
-  // or until `stop`. where: asked time and again for the observers, in this world's coordinates. Errors: a shard is missing or too short, a strip near the observers cannot be read.
-  Result<void> prepare(const formats::WorldInfo& before, const std::function<stream::Observers()>& where, const std::atomic<bool>& stop);
+  // or until `stop`. where: asked time and again, in this world's coordinates. Errors: a shard is missing or too short, a strip near the observers cannot be read.
+  Result<void> prepare(const formats::WorldInfo& before, const std::function<Followed()>& where, const std::atomic<bool>& stop);
   // The cut's tiles as Probes::follow() takes them.
   void listProbeTiles(std::vector<ProbeTile>& tiles) const;
 
@@ -62,8 +68,8 @@ class Reloader {
   // The frame's: they allocate and free nothing, and the lock that they take guards only swaps.
   // Opens what is there now, whatever its version.
   void ask();
-  // Where observers are, in the coordinates of the generation that is shown.
-  void follow(const stream::Observers& observers);
+  // Where observers are, in the coordinates of the generation that is shown, and what its streamer has for a lead.
+  void follow(const stream::Observers& observers, const stream::Lead& lead);
   // Whether take() has a generation; no lock.
   bool ready() const { return ready_count_.load() != 0; }
   // Prepared, to be shown from now on.
@@ -95,7 +101,7 @@ class Reloader {
   mutable std::mutex mutex_;
   std::condition_variable wake_;
   bool asked_ = false;
-  stream::Observers observers_;
+  Followed followed_;
   std::unique_ptr<Generation> ready_, retired_;
   std::string failure_;
   std::atomic<uint32_t> ready_count_{0}, failures_{0};

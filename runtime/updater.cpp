@@ -33,7 +33,6 @@ constexpr float kLongestFrame = 0.1f;  // s
 constexpr float kPause = 2;            // times as long as frames of late, no frame counts for more: somebody waits for something else
 constexpr float kTurns = 1;            // a streamer in the background looks at a place in one frame, and what it has found is taken up in the next
 constexpr float kSlack = 4;            // frames that threads may lose while others have their cores
-constexpr float kFades = 1.2f;         // so that light has followed when the observer is there
 constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
 Error noLight(std::string place, const char* why) {
@@ -130,7 +129,8 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   frame_seconds_ += frame_seconds_ == 0 ? seconds : (std::min(seconds, kPause * frame_seconds_) - frame_seconds_) / 8;
   const float until_built = cut_.latencySeconds() + kTurns * frame_seconds_;
   const float until_active = kBuilds * cut_.latencySeconds() + (kTurns + kSlack) * frame_seconds_;
-  streamer_.setLead({until_built, until_active, until_active + kFades * static_cast<float>(fade_.frames()) * frame_seconds_});
+  lead_ = {until_built, until_active, until_active + fade_.begin(observers, frame_seconds_)};
+  streamer_.setLead(lead_);
   streamer_.update(observers);
   jumped_ |= observers.movedBy(kJumpCells * world_.info().cell_m, std::exchange(observers_, observers));
   const double stream_ms = msSince(start);
@@ -148,7 +148,6 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(matrix(), observers);
-  solver_.ease(fade_.frames());
   const auto iterated = solver_.iterate(iterations);
   cut_.begin();
   if (!iterated) return iterated.error();
@@ -290,8 +289,8 @@ Result<void> Updater::takeUpChange(bool whole) {
   counts_.entries = m.used_entries;
   for (const SlotRange& range : m.tiles)
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
-  fade_.follow(m, whole || change.renumbered ? std::span<const uint32_t>() : change.entered);
-
+  fade_.follow(m, whole || change.renumbered ? std::span<const uint32_t>() : change.entered, observers_);
+  solver_.ease(fade_.easeFrames());
   tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   told_ = missed_ ? &wholeMatrix() : &change;
   emission_entered_ = !told_->renumbered;

@@ -100,6 +100,7 @@ class Updater {
   // Makes what slots show of what they reflect: blended where tiles leave (cut_fade.h), and what they emit added.
   void show(std::span<Vec4> reflected) const;
   const CutFade& fade() const { return fade_; }
+  const stream::Lead& lead() const { return lead_; }  // that the last frame asked of the streamer
   // The last number that was taken for zero, as a line; empty: none. Its memory is taken when there is one.
   const std::string& lightFault() const { return light_fault_; }
 
@@ -139,6 +140,7 @@ class Updater {
   bool emission_entered_ = false;
   std::chrono::steady_clock::time_point frame_began_;
   float frame_seconds_ = 0;
+  stream::Lead lead_;
   bool await_cut_ = false, jumped_ = false;  // for the next followCut()
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   // Of prepare().

@@ -34,10 +34,10 @@ layout(std430, binding = 8) buffer Faults { uint repaired; };
 #ifdef HOLD
 float largestOf(vec3 v) { return max(v.r, max(v.g, v.b)); }
 
-// It is so much now. What has grown takes its full time again; the rest goes on.
+// It is so much now. What has grown takes its full time again; the rest goes on, and takes no longer than that.
 vec4 heldBack(vec3 light, vec4 so_far) {
   if (!isSound(light)) return vec4(0);
-  return vec4(light, largestOf(abs(light)) <= largestOf(abs(so_far.rgb)) * kHeldGrown ? so_far.w : float(push.frames));
+  return vec4(light, largestOf(abs(light)) <= largestOf(abs(so_far.rgb)) * kHeldGrown ? min(so_far.w, float(push.frames)) : float(push.frames));
 }
 #endif
 

@@ -224,7 +224,7 @@ void addCounts(const ProbeStats& more, ProbeStats& sum) {
 // Between two frames.
 void FormfieldWorld_T::takeUpReload(stream::Observers& now) {
   if (!reloader) return;
-  reloader->follow(now);
+  reloader->follow(now, updater().lead());
   if (leaving || !reloader->ready()) return;
   leaving = std::exchange(shown, reloader->take());
   const Vec3 step = originStep(leaving->world->info(), world().info());

@@ -97,8 +97,8 @@ typedef struct FormfieldWorldSettings {
   uint32_t probes;             /* for formfieldSample: points remembered; 0: formfieldSample is not used */
   uint32_t probe_rays;         /* of each */
   uint64_t probe_memory_bytes; /* of drawing triangles that rays of probes meet */
-  uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns, at the fastest: they fade into each other by the observers' way;
-                                  0: at once. What is needed is loaded so much earlier. A change of light is never held back. The seed baseline follows at once */
+  uint32_t fade_frames;        /* over which light follows where finer and coarser surface take turns, at the fastest: they fade into each other, and light follows, by the observers'
+                                  way (their velocities: one that is given as 0 while an observer moves makes it slow); 0: at once. What is needed is loaded so much earlier. A change of light is never held back. The seed baseline follows at once */
   uint32_t logged_frames;      /* the last so many frames are kept, 500 bytes each, for FormfieldStats and formfieldWriteTrace; 0: none */
   uint64_t hint_bytes;         /* of memory_bytes, at most, for what formfieldExpect names */
   uint64_t read_bytes_per_second; /* of strips, at most; 0: no limit. The nearest come first; the index (1 % of that) and the coarsest level come on top */

@@ -11,15 +11,21 @@ namespace {
 using stream::StripPtr;
 
 constexpr size_t kMaxTiles = kMaxSlots / 16;
-constexpr float kMaxFrames = 120;  // where nobody comes nearer or goes away
+constexpr float kMaxFrames = 480;      // of a tile, where nobody comes nearer or goes away
+constexpr float kMaxEaseFrames = 120;  // of light, likewise
+constexpr float kFades = 1.2f;         // so many times the frames that light takes it has, until it has to have followed
+constexpr size_t kCrowd_percent = 50;  // of max_nodes: past it those that show least hurry, the more the less they show, so that few have to leave at once
 // Of a level's radius:
-constexpr float kAtHand = 0.8f;    // nearer, a tile shows what it is
-constexpr float kLate = 0.9f;      // what enters nearer than that has not come by an observer's way
-constexpr float kGone = 0.4f;      // the way from where a tile leaves to where it shows nothing of its own
+constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
+constexpr float kLate = 0.9f;    // what enters nearer than that has not come by an observer's way
+constexpr float kGone = 0.4f;    // the way from where a tile leaves to where it shows nothing of its own
+// Of level 0's radius:
+constexpr float kAhead = 0.75f;  // tiles on the way enter so much farther away
+constexpr float kEase = 0.25f;   // the way in which light follows
 
 }  // namespace
 
-CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()) {
+CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()), ease_frames_(settings.frames) {
   for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
@@ -27,6 +33,15 @@ CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) :
   fading_.reserve(kMaxTiles);
   leaving_.reserve(kMaxTiles);
   order_.reserve(kMaxTiles);
+}
+
+float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
+  if (settings_.frames == 0) return 0;
+  float speed = 0;  // m/s
+  for (const stream::Observer& observer : observers) speed = std::max(speed, length(observer.velocity));
+  const float least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
+  ease_frames_ = static_cast<uint32_t>(std::clamp(frames, least, std::max(least, kMaxEaseFrames)));
+  return std::max(kFades * static_cast<float>(ease_frames_) * frame_seconds, kAhead * radii_m_[0] / speed);
 }
 
 std::span<const StripPtr> CutFade::cut(std::span<const StripPtr> active) {
@@ -98,7 +113,8 @@ void CutFade::listLeaving() {
     const bool leaves = a == active_.size() || active_[a].id != id;
     if (tile.leaving != leaves) tile.began_at_m = Tile::kUnknown;
     tile.leaving = leaves;
-    if (leaves) leaving_.push_back({k, tile.weight, tile.weight > 0});
+    tile.hurry = 0;
+    if (leaves) leaving_.push_back({k, static_cast<uint32_t>(of - tiles_.begin()), tile.weight, tile.weight > 0});
   }
   for (const Leaving& tile : leaving_) {  // children first: the finest levels come first
     if (!tile.kept) continue;
@@ -123,7 +139,8 @@ void CutFade::keepTheMost() {
       order_.push_back(k);
       nodes += known_[leaving_[k].at].nodes;
     }
-  if (nodes <= room) return;
+  const size_t crowd = room * kCrowd_percent / 100;
+  if (nodes <= crowd) return;
   std::ranges::sort(order_, [&](uint32_t x, uint32_t y) {  // of two that show as much, the coarser first
     return leaving_[x].weight != leaving_[y].weight ? leaving_[x].weight > leaving_[y].weight : x > y;
   });
@@ -131,10 +148,11 @@ void CutFade::keepTheMost() {
   for (const uint32_t k : order_) {
     nodes += known_[leaving_[k].at].nodes;
     leaving_[k].kept = nodes <= room;
+    if (nodes > crowd) tiles_[leaving_[k].tile].hurry = std::min(static_cast<float>(nodes - crowd) / static_cast<float>(room - crowd), 1.0f);
   }
 }
 
-void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entered) {
+void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entered, const stream::Observers& observers) {
   if (settings_.frames == 0) return;
   tiles_before_.swap(tiles_);  // both are sorted: tiles that stay keep their weights
   tiles_.clear();
@@ -144,8 +162,13 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
     const bool stays = old != tiles_before_.end() && old->id == range.id;
     tiles_.push_back(stays ? *old : Tile{range.id});
   }
-  for (const uint32_t t : entered)
-    if (matrix.parent_slot[matrix.tiles[t].first_slot] != kNoSlot) tiles_[t].weight = 0;
+  came_late_ = false;
+  for (const uint32_t t : entered) {
+    if (matrix.parent_slot[matrix.tiles[t].first_slot] == kNoSlot) continue;
+    tiles_[t].weight = 0;
+    begin(tiles_[t], *matrix.packed[t].strip, observers);
+    came_late_ |= late(tiles_[t]);
+  }
 }
 
 void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observers) {
@@ -153,23 +176,28 @@ void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observ
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
-    const bool begins = tile.began_at_m == Tile::kUnknown;
-    if (begins) tile.bounds = matrix.packed[t].strip->tile.info().bounds;
+    if (tile.began_at_m == Tile::kUnknown) begin(tile, *matrix.packed[t].strip, observers);
     const float away_m = observers.distance(tile.bounds);
-    if (begins) tile.began_at_m = away_m;
     const float way = tile.leaving ? -1.0f : 1.0f;  // the weight's
-    tile.weight = std::clamp(tile.weight + way * std::clamp(way * (due(tile, away_m) - tile.weight), slowest, fastest), 0.0f, 1.0f);
+    tile.weight = std::clamp(tile.weight + way * std::clamp(way * (due(tile, away_m) - tile.weight), std::max(slowest, tile.hurry * fastest), fastest), 0.0f, 1.0f);
     if (!tile.rests()) continue;
     tile.began_at_m = Tile::kUnknown;
     one_has_gone_ |= tile.leaving;
   }
 }
 
+void CutFade::begin(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers) {
+  tile.bounds = strip.tile.info().bounds;
+  tile.began_at_m = observers.distance(tile.bounds);
+}
+
+bool CutFade::late(const Tile& tile) const { return tile.began_at_m < kLate * radii_m_[tile.id.level]; }
+
 // What a tile shows of its own by the way that the nearest observer has come, or gone, since it began.
 float CutFade::due(const Tile& tile, float away_m) const {
   const float radius_m = radii_m_[tile.id.level], at_hand_m = kAtHand * radius_m;
   if (tile.leaving) return 1 - (away_m - tile.began_at_m) / (kGone * radius_m);
-  if (tile.began_at_m < kLate * radius_m || away_m <= at_hand_m) return 1;
+  if (late(tile) || away_m <= at_hand_m) return 1;
   return (tile.began_at_m - away_m) / (tile.began_at_m - at_hand_m);
 }
 

@@ -70,9 +70,9 @@ class HeldLight {
     Vec3 light;  // W/m2
     uint32_t frames = 0;
 
-    // It is so much now. What has grown takes its full time again; the rest goes on.
+    // It is so much now. What has grown takes its full time again; the rest goes on, and takes no longer than that.
     void take(Vec3 now, uint32_t most_frames) {
-      if (!(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
+      if (frames > most_frames || !(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
       light = isSound(now.x) & isSound(now.y) & isSound(now.z) ? now : Vec3{};
     }
     bool release() {

@@ -451,7 +451,7 @@ void printReload(const formats::WholeWorld& whole, const std::string& name, cons
     const auto began = Clock::now();
     const double cpu = threadMs();
     const stream::Observers observers(stream::Observer{at, velocity});
-    reloader.follow(observers);
+    reloader.follow(observers, shown->updater.lead());
     std::unique_ptr<runtime::Generation> before;
     if (reloader.ready()) {
       before = std::exchange(shown, reloader.take());

@@ -56,7 +56,7 @@ class Formfield : public testing::Test {
   }
   void frame(Vec3 at) {
     const double observer[3] = {static_cast<double>(at.x), static_cast<double>(at.y), static_cast<double>(at.z)};
-    const float velocity[3] = {1, 0, 0};
+    const float velocity[3] = {};
     ASSERT_EQ(formfieldFrame(world_, observer, velocity), FORMFIELD_OK) << formfieldError(device_);
   }
   FormfieldStats stats() {

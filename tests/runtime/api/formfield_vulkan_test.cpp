@@ -187,7 +187,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     return sum / static_cast<double>(slot_of.size());
   };
 
-  constexpr int kFrames = 240, kSwitch = 30, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
+  constexpr int kFrames = 640, kSwitch = 30, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
   double before = 0;
   bool anew = false;
   uint64_t entered_nodes = 0;

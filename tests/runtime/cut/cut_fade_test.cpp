@@ -19,6 +19,29 @@ INSTANTIATE_TEST_SUITE_P(Cpu, Ease, testing::Values(EaseCase{"Gather", 64, [] { 
   return std::unique_ptr<Solver>(makeDenseSolver(std::move(*makeCpuMultibounce({.places = 512})), {}));
 }}), [](const auto& each) { return each.param.name; });
 
+TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
+  constexpr float kFrame_s = 1.0f / 60;
+  const std::vector<float> radii_m{16, 20};
+  CutFade fade({.frames = 8}, radii_m);
+  const auto at = [](float speed) { return stream::Observer{{}, {0, 0, speed}}; };
+  EXPECT_NEAR(fade.begin(at(30), kFrame_s), 12.0f / 30, 1e-5f);
+  EXPECT_EQ(fade.easeFrames(), 8u);  // of 4 m
+  EXPECT_NEAR(fade.begin(at(5), kFrame_s), 12.0f / 5, 1e-5f);
+  EXPECT_EQ(fade.easeFrames(), 48u);
+  EXPECT_NEAR(fade.begin(at(120), kFrame_s), 1.2f * 8 * kFrame_s, 1e-5f);  // the frames that light takes are more than that way
+  EXPECT_EQ(fade.easeFrames(), 8u);
+  (void)fade.begin(at(0), kFrame_s);
+  EXPECT_EQ(fade.easeFrames(), 120u);
+  const stream::Observer several[] = {at(0), at(5), at(1)};
+  EXPECT_NEAR(fade.begin(stream::Observers(several), kFrame_s), 12.0f / 5, 1e-5f);
+  EXPECT_EQ(fade.easeFrames(), 48u);
+  CutFade at_once({.frames = 0}, radii_m), slower({.frames = 300}, radii_m);
+  EXPECT_EQ(at_once.begin(at(5), kFrame_s), 0);
+  EXPECT_EQ(at_once.easeFrames(), 0u);
+  (void)slower.begin(at(0), kFrame_s);
+  EXPECT_EQ(slower.easeFrames(), 300u);
+}
+
 // Flies along a line, everything there in time.
 struct Flight {
   Flight(const TestWorld& world, const FadeSettings& fade)
@@ -48,6 +71,16 @@ struct Flight {
     return patches;
   }
   const TestWorld& test;
+  // What tiles show of their own.
+  std::map<formats::TileId, float> weights() const {
+    std::map<formats::TileId, float> own;
+    std::vector<shaders::FadingSlots> fading;
+    const LocalMatrix& m = updater.matrix();
+    updater.fade().fadingSlots(m, fading);
+    for (const SlotRange& range : m.tiles) own[range.id] = 1;
+    for (const shaders::FadingSlots& slots : fading) own[std::ranges::find(m.tiles, slots.first_slot, &SlotRange::first_slot)->id] = slots.own;
+    return own;
+  }
   std::unique_ptr<stream::Streamer> streamer;
   std::unique_ptr<Solver> solver;
   Updater updater;
@@ -69,7 +102,7 @@ TEST(CutFade, LightOfFixedPatchesDoesNotJumpAlongAFlightAndRestsWhereItWouldWith
       most_tiles = std::max(most_tiles, flight.updater.matrix().tiles.size() - flight.streamer->active().size());
     }
     EXPECT_EQ(most_tiles > 0, fades) << "tiles that stay while they fade out";
-    for (int frame = 0; frame < 400; ++frame) flight.frame({58, 1, 30});
+    for (int frame = 0; frame < 700; ++frame) flight.frame({58, 1, 30});
     EXPECT_EQ(flight.updater.matrix().tiles.size(), flight.streamer->active().size());
     end[fades] = flight.shown();
   }
@@ -84,22 +117,13 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   constexpr uint32_t kFrames = 3;
   constexpr float kRadius_m = 8;
   Flight slow(test, {.frames = kFrames}), fast(test, {.frames = kFrames});
-  const auto weights = [](const Flight& flight) {  // by tile
-    std::map<formats::TileId, float> own;
-    std::vector<shaders::FadingSlots> fading;
-    const LocalMatrix& m = flight.updater.matrix();
-    flight.updater.fade().fadingSlots(m, fading);
-    for (const SlotRange& range : m.tiles) own[range.id] = 1;
-    for (const shaders::FadingSlots& slots : fading) own[std::ranges::find(m.tiles, slots.first_slot, &SlotRange::first_slot)->id] = slots.own;
-    return own;
-  };
   size_t between = 0, compared = 0;
   std::map<formats::TileId, float> before;
   for (int step = 0; step < 200; ++step) {
     const Vec3 at{10 + 0.2f * static_cast<float>(step), 1, 30};
     slow.frame(at);
     if (step % 2 == 0) fast.frame(at);
-    const auto now = weights(slow), now_fast = weights(fast);
+    const auto now = slow.weights(), now_fast = fast.weights();
     for (const auto& [id, weight] : now) {
       if (id.level != 0 || step == 0) continue;
       const float away_m = test.world().tiles(0)[id.tile].bounds.distance(at), step_weight = before.contains(id) ? weight - before[id] : 0;
@@ -116,8 +140,9 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   }
   EXPECT_GT(between, 200u);
   EXPECT_GT(compared, 1000u);
-  for (int frame = 0; frame < 130; ++frame) slow.frame({49.8f, 1, 30});  // and at rest it ends, too
-  for (const auto& [id, weight] : weights(slow)) ASSERT_EQ(weight, 1);
+  for (int frame = 0; frame < 490; ++frame) slow.frame({49.8f, 1, 30});  // and at rest it ends, too
+  for (const auto& [id, weight] : slow.weights()) ASSERT_EQ(weight, 1);
+  EXPECT_EQ(slow.updater.fade().easeFrames(), 120u) << "nothing has come late, and nobody says how fast he is";
   EXPECT_EQ(slow.updater.matrix().tiles.size(), slow.streamer->active().size());
 }
 
@@ -132,6 +157,7 @@ TEST(CutFade, WhatComesLateOrIsWaitedForShowsItsOwnAtOnce) {
   const LocalMatrix& m = flight.updater.matrix();
   flight.updater.fade().fadingSlots(m, fading);
   EXPECT_FALSE(fading.empty());
+  EXPECT_EQ(flight.updater.fade().easeFrames(), 4u) << "light, too";
   for (int frame = 1; frame < 4; ++frame) flight.frame({17, 1, 30});
   flight.updater.fade().fadingSlots(m, fading);
   for (const shaders::FadingSlots& slots : fading) {
@@ -156,8 +182,23 @@ TEST(CutFade, WaitingForTheCutEndsAllFadesAndWhatIsTooMuchLeavesAtOnce) {
       leaving = std::max(leaving, nodes);
     }
   EXPECT_GT(leaving, 100u);
+  // Where there is no room for many, those that show least go faster than the observer.
+  const auto fastest = [](Flight& f) {
+    float most = 0;
+    std::map<formats::TileId, float> before;
+    for (int step = 0; step < 120; ++step) {
+      f.frame({39.5f + 0.02f * static_cast<float>(step), 1, 30});
+      std::map<formats::TileId, float> now = f.weights();
+      for (const auto& [id, weight] : now)
+        if (step > 60 && before.contains(id)) most = std::max(most, before[id] - weight);
+      before = std::move(now);
+    }
+    return most;
+  };
+  EXPECT_GT(fastest(narrow), 1.0f / 100);
+  EXPECT_LT(fastest(flight), 1.0f / 150);
   flight.updater.awaitCut();
-  flight.frame({40, 1, 30});
+  flight.frame({42, 1, 30});
   EXPECT_EQ(flight.updater.matrix().tiles.size(), flight.streamer->active().size());
   std::vector<Vec4> light(flight.updater.matrix().slots());
   ASSERT_TRUE(flight.updater.reflected(light));

@@ -113,6 +113,23 @@ TEST_P(Ease, LightFollowsAChangeOfTheCutEvenlyAndEndsWhereItWouldHaveBeenAtOnce)
   for (const uint32_t slot : eased.matrix().leaves) ASSERT_LT(distance(light[slot], end[slot]), 1e-4f * (1 + end[slot].x + end[slot].y + end[slot].z));
 }
 
+// An observer who walked runs: light is held for long no more.
+TEST_P(Ease, WhatIsHeldTakesNoLongerThanTheNextChangeDoes) {
+  const TestWorld test(world());
+  CutChange slow(GetParam(), test, 100 * kEaseFrames), at_once(GetParam(), test, 0);
+  for (CutChange* change : {&slow, &at_once}) {
+    ASSERT_TRUE(change->solver->iterate(2));
+    if (change == &slow) change->solver->ease(kEaseFrames);
+    ASSERT_TRUE(change->assembler.update(test.randomCut(0.6, 5)));
+    ASSERT_TRUE(change->solver->update(change->matrix(), change->assembler.change()));
+    ASSERT_TRUE(change->solver->setSource(sourceOf(change->matrix())));
+    for (uint32_t frame = 0; frame < kEaseFrames; ++frame) ASSERT_TRUE(change->solver->iterate(2));
+    ASSERT_TRUE(change->solver->iterate(300));
+  }
+  const std::vector<Vec4> light = slow.light(), end = at_once.light();
+  for (const uint32_t slot : slow.matrix().leaves) ASSERT_LT(distance(light[slot], end[slot]), 1e-4f * (1 + end[slot].x + end[slot].y + end[slot].z));
+}
+
 TEST_P(Ease, AChangeOfSourcesIsNotHeldBack) {
   const TestWorld test(world());
   std::vector<std::vector<Vec4>> light;
