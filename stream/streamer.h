@@ -44,7 +44,7 @@ struct StreamSettings {
 struct Lead {
   float turn_seconds = 0;    // whichever way it turns: what may be near in that time is wanted as far as budgets have room beside all else
   float active_seconds = 0;  // on its way: until a tile that is active counts. Not less
-  float shown_seconds = 0;   // until it shows light of its own; not less
+  float shown_seconds = 0;   // until patches are shown by light of their own; not less. Coarser levels, which reach farther, have less of it (wanted_tiles.cpp)
   friend bool operator==(const Lead&, const Lead&) = default;
 };
 

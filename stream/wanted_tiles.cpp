@@ -15,6 +15,9 @@ constexpr size_t kHeapAtFirst = 65536;    // tiles that are offered and not want
 constexpr size_t kChunksAtFirst = 4096;   // that are here, before the table takes more memory
 constexpr size_t kMissingAtFirst = 1024;
 constexpr float kLeastGrowth = 2.0f / 3;  // of the growth, less 1
+// Of what a coarser level reaches farther than level 0 by itself, so much is taken off its lead. All of it has all levels of a place come at once, so that their fades add up; none takes more nodes than there
+// are in dense places of a town at 60 m/s.
+constexpr float kReachCounts = 0.5f;
 constexpr uint32_t kWalksKept = 600;      // a chunk that so many walks have not looked at is forgotten: 10 s at 60 frames a second
 }  // namespace
 
@@ -37,7 +40,7 @@ std::vector<float> radiiOf(const formats::World& world, float radius_0, float gr
 
 WantedTiles::WantedTiles(const formats::World& world, const StreamSettings& settings)
     : world_(world), settings_(settings), least_growth_(1 + kLeastGrowth * (settings.growth - 1)), radius_m_(radiiOf(world, settings.radius_m, settings.growth)),
-      least_radius_m_(radiiOf(world, settings.radius_m, least_growth_)) {
+      least_radius_m_(radiiOf(world, settings.radius_m, least_growth_)), shown_seconds_(world.levels().size() * kMaxObservers) {
   size_t tiles = 0;
   for (const formats::LevelInfo& level : world.levels()) tiles += level.tiles;
   // A tile has a node at least, and is offered once.
@@ -70,10 +73,17 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
 std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, const Lead& lead) {
   ++walks_;
   observers_ = observers;
-  active_seconds_ = lead.active_seconds;
-  shown_seconds_ = lead.shown_seconds;
   turn_m_ = 0;
-  for (const Observer& observer : observers_) turn_m_ = std::max(turn_m_, lead.turn_seconds * length(observer.velocity));
+  active_seconds_.fill(lead.active_seconds);
+  for (size_t i = 0; i < observers_.size(); ++i) {
+    const float speed = length(observers_[i].velocity);
+    turn_m_ = std::max(turn_m_, lead.turn_seconds * speed);
+    for (size_t level = 0; level < radius_m_.size(); ++level) {
+      // A tile needs its parent, so that each level goes as far ahead as level 0 at least.
+      const float left = speed > 0 ? lead.shown_seconds - kReachCounts * (radius_m_[level] - radius_m_[0]) / speed : 0;
+      shown_seconds_[level * kMaxObservers + i] = std::max(lead.active_seconds, left);
+    }
+  }
   wanted_before_.swap(wanted_);
   wanted_.clear();
   heap_.clear();
@@ -155,7 +165,8 @@ void WantedTiles::offerChildren(const Tile& parent) {
   const TileInfo& info = parent.info();
   const uint32_t child = parent.chunk->childWith(info.first_child);
   const float wide = std::max(radius_m_[level] * settings_.hysteresis, radius_m_[level] + turn_m_);
-  if (distance(parent.chunk->children[child].bounds, shown_seconds_) >= wide) return;
+  const std::span<const float> shown_seconds = shownSeconds(level);
+  if (distance(parent.chunk->children[child].bounds, shown_seconds) >= wide) return;
   const formats::Chunk* chunk = look(*parent.chunk, child);
   if (!chunk) return;
   for (uint32_t t = info.first_child; t < info.end_child; ++t) {
@@ -163,7 +174,7 @@ void WantedTiles::offerChildren(const Tile& parent) {
     const Tile* const before = find(wanted_before_, tile.id);
     const Box& bounds = tile.info().bounds;
     const float stays = before && !before->spare ? settings_.hysteresis : 1;
-    tile.spare = !(distance(bounds, shown_seconds_) / stays < radius_m_[level]);
+    tile.spare = !(distance(bounds, shown_seconds) / stays < radius_m_[level]);
     const float beyond_m = tile.spare ? observers_.distance(bounds) - radius_m_[level] : 0;
     if (tile.spare && !(beyond_m < turn_m_)) continue;
     heap_.push_back({tile.spare ? kTurn + beyond_m : urgency(distance(bounds, active_seconds_) / stays, level), tile});

@@ -2,6 +2,7 @@
 // children. It goes by the index of the chunks that are here, and says which others it would have looked at.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -81,13 +82,15 @@ class WantedTiles {
   // to kTurn, by the way that is left.
   float urgency(float distance, uint32_t level) const;
   static constexpr float kLight = 2, kTurn = 3;
+  std::span<const float> shownSeconds(uint32_t level) const { return std::span(shown_seconds_).subspan(level * kMaxObservers, kMaxObservers); }
   // A budget ran out at a candidate.
   void ranOut(Budget budget, const Candidate& at);
-  // To the nearest observer's way in that time: near enough by its ends and its place that is nearest to the middle of the box.
-  float distance(const Box& bounds, float seconds) const {
+  // To the nearest observer's way, each as long as its velocity lasts: near enough by its ends and its place that is nearest to the middle of the box.
+  float distance(const Box& bounds, std::span<const float> seconds) const {
     float nearest = observers_.distance(bounds);
-    for (const Observer& observer : observers_) {
-      const Vec3 way = observer.velocity * seconds;
+    for (size_t i = 0; i < observers_.size(); ++i) {
+      const Observer& observer = observers_[i];
+      const Vec3 way = observer.velocity * seconds[i];
       if (way == Vec3{}) continue;
       const float along = std::clamp(dot((bounds.lo + bounds.hi) * 0.5f - observer.at, way) / dot(way, way), 0.0f, 1.0f);
       nearest = std::min({nearest, bounds.distance(observer.at + way), bounds.distance(observer.at + way * along)});
@@ -101,7 +104,8 @@ class WantedTiles {
   size_t max_wanted_ = 0;
   const float least_growth_;
   std::vector<float> radius_m_, least_radius_m_;  // per level; those of the least growth
-  float active_seconds_ = 0, shown_seconds_ = 0;  // of the lead
+  std::array<float, kMaxObservers> active_seconds_{};  // of the lead, by observer,
+  std::vector<float> shown_seconds_;                    // and what a level has left of it: by level and observer
   float turn_m_ = 0;             // the fastest observer's way in the time of a turn
   TileMap<Here> chunks_;         // by their first tile
   uint32_t walks_ = 0;
