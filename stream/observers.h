@@ -57,6 +57,11 @@ class Observers {
     for (size_t i = 1; i < count_; ++i) nearest = std::min(nearest, bounds.distance(list_[i].at + list_[i].velocity * seconds));
     return nearest;
   }
+  float fastest() const {  // m/s
+    float speed = 0;
+    for (const Observer& observer : *this) speed = std::max(speed, length(observer.velocity));
+    return speed;
+  }
   // Whether any is farther than that from where it was, or there are more or fewer.
   bool movedBy(float distance_m, const Observers& before) const {
     if (count_ != before.count_) return true;

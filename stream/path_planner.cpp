@@ -152,8 +152,7 @@ void PathPlanner::make(const Aim& aim, Plan& plan) {
                       speed * (2 * aim.latency_seconds + kFrameSeconds + aim.lead.turn_seconds), speed});
   }
   observers_ = aim.observers;
-  margin_m_ = 0;
-  for (const Observer& observer : aim.observers) margin_m_ = std::max(margin_m_, length(observer.velocity) * aim.lead.shown_seconds);
+  margin_m_ = observers_.fastest() * aim.lead.shown_seconds;
   places_.clear();
   for (const Hint& hint : std::span(aim.hints).first(aim.hint_count))
     places_.push_back({hint.at, std::max(0.0f, std::chrono::duration<float>(hint.due - aim.at).count())});

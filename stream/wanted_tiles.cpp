@@ -73,11 +73,10 @@ void WantedTiles::forget(std::vector<std::shared_ptr<const void>>& leaving) {
 std::span<const WantedTiles::Tile> WantedTiles::walk(const Observers& observers, const Lead& lead) {
   ++walks_;
   observers_ = observers;
-  turn_m_ = 0;
+  turn_m_ = observers_.fastest() * lead.turn_seconds;
   active_seconds_.fill(lead.active_seconds);
   for (size_t i = 0; i < observers_.size(); ++i) {
     const float speed = length(observers_[i].velocity);
-    turn_m_ = std::max(turn_m_, lead.turn_seconds * speed);
     for (size_t level = 0; level < radius_m_.size(); ++level) {
       // A tile needs its parent, so that each level goes as far ahead as level 0 at least.
       const float left = speed > 0 ? lead.shown_seconds - kReachCounts * (radius_m_[level] - radius_m_[0]) / speed : 0;

@@ -37,9 +37,7 @@ CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) :
 
 float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
   if (settings_.frames == 0) return 0;
-  float speed = 0;  // m/s
-  for (const stream::Observer& observer : observers) speed = std::max(speed, length(observer.velocity));
-  const float least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
+  const float speed = observers.fastest(), least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
   ease_frames_ = static_cast<uint32_t>(std::clamp(frames, least, std::max(least, kMaxEaseFrames)));
   return std::max(kFades * static_cast<float>(ease_frames_) * frame_seconds, kAhead * radii_m_[0] / speed);
 }
@@ -166,7 +164,7 @@ void CutFade::follow(const LocalMatrix& matrix, std::span<const uint32_t> entere
   for (const uint32_t t : entered) {
     if (matrix.parent_slot[matrix.tiles[t].first_slot] == kNoSlot) continue;
     tiles_[t].weight = 0;
-    begin(tiles_[t], *matrix.packed[t].strip, observers);
+    beginFade(tiles_[t], *matrix.packed[t].strip, observers);
     came_late_ |= late(tiles_[t]);
   }
 }
@@ -176,7 +174,7 @@ void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observ
   for (size_t t = 0; t < tiles_.size(); ++t) {
     Tile& tile = tiles_[t];
     if (tile.rests()) continue;
-    if (tile.began_at_m == Tile::kUnknown) begin(tile, *matrix.packed[t].strip, observers);
+    if (tile.began_at_m == Tile::kUnknown) beginFade(tile, *matrix.packed[t].strip, observers);
     const float away_m = observers.distance(tile.bounds);
     const float way = tile.leaving ? -1.0f : 1.0f;  // the weight's
     tile.weight = std::clamp(tile.weight + way * std::clamp(way * (due(tile, away_m) - tile.weight), std::max(slowest, tile.hurry * fastest), fastest), 0.0f, 1.0f);
@@ -186,7 +184,7 @@ void CutFade::advance(const LocalMatrix& matrix, const stream::Observers& observ
   }
 }
 
-void CutFade::begin(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers) {
+void CutFade::beginFade(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers) {
   tile.bounds = strip.tile.info().bounds;
   tile.began_at_m = observers.distance(tile.bounds);
 }

@@ -64,7 +64,7 @@ class CutFade {
   void followActive(std::span<const stream::StripPtr> active);
   void listLeaving();
   void keepTheMost();
-  static void begin(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers);
+  static void beginFade(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers);
   bool late(const Tile& tile) const;
   float due(const Tile& tile, float away_m) const;
 
