@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <new>
@@ -16,9 +15,6 @@
 
 namespace ff::stream {
 namespace {
-
-constexpr std::chrono::milliseconds kLook{1};  // at what is asked and what has arrived: nobody is woken, who might take a frame's core
-constexpr int kLooks = 250;                    // that find nothing; then the thread sleeps until it is woken after all
 
 class BackgroundStreamer final : public Streamer {
  public:

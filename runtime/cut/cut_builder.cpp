@@ -30,16 +30,32 @@ CutBuilder::~CutBuilder() {
   if (!thread_.joinable()) return;
   await();
   state_ = kStop;
-  state_.notify_one();
+  wake();
   thread_.join();
 }
 
+// Of two that miss each other in begin(), either the thread sees that it is asked or the caller that it sleeps.
+uint32_t CutBuilder::awaitAsked() {
+  const auto asked = [this] { return state_ == kAsked || state_ == kStop; };
+  std::unique_lock lock(wake_mutex_);
+  for (int looks = 0; !asked(); ++looks) {
+    sleeps_ = looks >= stream::kLooks;
+    if (sleeps_)
+      wake_.wait(lock, asked);
+    else
+      wake_.wait_for(lock, stream::kLook, asked);
+  }
+  sleeps_ = false;
+  return state_;
+}
+
+void CutBuilder::wake() const {
+  { const std::lock_guard lock(wake_mutex_); }
+  wake_.notify_one();
+}
+
 void CutBuilder::work() {
-  for (;;) {
-    for (uint32_t seen = state_.load(); seen != kAsked; seen = state_.load()) {
-      if (seen == kStop) return;
-      state_.wait(seen);
-    }
+  while (awaitAsked() != kStop) {
     Result<void> built;
     try {
       takeOver(next_cut_, asked_, spare_);
@@ -102,7 +118,7 @@ Result<void> CutBuilder::next(std::span<const stream::StripPtr> active, std::spa
 }
 
 void CutBuilder::await() const {
-  begin();
+  if (reads()) wake();
   for (uint32_t seen = state_.load(); seen == kAsked || seen == kBuilding; seen = state_.load()) state_.wait(seen);
 }
 

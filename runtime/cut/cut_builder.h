@@ -3,7 +3,9 @@
 #pragma once
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <thread>
@@ -40,9 +42,9 @@ class CutBuilder {
   // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Both lists then stay as they are while
   // reads(). Errors: as MatrixAssembler::update. fading: as MatrixAssembler::update.
   Result<void> next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
-  // Wakes the thread, which may take the caller's core for a while: so a frame does it when all else is done.
+  // The thread finds out by itself within stream::kLook; one that sleeps is woken, which may take the caller's core for a while: so a frame does it when all else is done.
   void begin() const {
-    if (reads()) state_.notify_one();
+    if (reads() && sleeps_) wake();
   }
   // Whether the thread has yet to read the lists of the last next(): counts of strips are changed there.
   bool reads() const { return state_.load() == kAsked; }
@@ -59,6 +61,8 @@ class CutBuilder {
  private:
   enum State : uint32_t { kIdle, kAsked, kBuilding, kReady, kStop };
   void work();
+  uint32_t awaitAsked();
+  void wake() const;
   void start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading);
   Result<void> take();
 
@@ -80,6 +84,9 @@ class CutBuilder {
   bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
   std::optional<Error> error_;
   mutable std::atomic<uint32_t> state_{kIdle};
+  std::atomic<bool> sleeps_ = false;
+  mutable std::mutex wake_mutex_;
+  mutable std::condition_variable wake_;
   std::thread thread_;
 };
 

@@ -23,23 +23,22 @@ class CpuGather final : public Solver {
   explicit CpuGather(int threads) : pool_(threads) {
     if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
     for (auto* per_slot : {&from_, &to_, &before_, &source_}) per_slot->reserve(kMaxSlots);
-    entering_.reserve(kMaxSlots / 16);
+    for (auto* tiles : {&entering_, &left_}) tiles->reserve(kMaxSlots / 16);
   }
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     const bool all = std::exchange(matrix_, &matrix) != &matrix || change.renumbered;
-    if (all)
+    if (all) {
       entering_.clear();
-    else
+      left_.clear();
+    } else {
       std::erase_if(entering_, [&](const SlotRange& range) { return std::ranges::find(change.left, range.first_slot, &SlotRange::first_slot) != change.left.end(); });
-    enter();
-    // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
-    for (auto* per_slot : {&from_, &to_}) {
-      if (all)
-        per_slot->clear();
-      else
-        for (const SlotRange& range : change.left) std::fill_n(per_slot->begin() + range.first_slot, range.nodes, Vec4{});
     }
+    enter();
+    if (all)
+      for (auto* per_slot : {&from_, &to_}) per_slot->clear();
+    else
+      left_.assign(change.left.begin(), change.left.end());
     before_is_clear_ = false;
     for (auto* per_slot : {&from_, &to_, &before_, &source_}) {
       if (all) touchMemory(*per_slot, matrix.most_slots);
@@ -138,6 +137,11 @@ class CpuGather final : public Solver {
 
   // What nodes that have entered start from, on all threads, and so when they are next asked for: with the next step, as a rule.
   void enter() {
+    // No step writes a free slot, and steps take turns with these: what stood there would seem to change for ever.
+    pool_.run(static_cast<uint32_t>(left_.size()), [&](uint32_t tile) {
+      for (auto* per_slot : {&from_, &to_}) std::fill_n(per_slot->begin() + left_[tile].first_slot, left_[tile].nodes, Vec4{});
+    });
+    left_.clear();
     for (size_t first = 0, end = 0; first < entering_.size(); first = end) {
       while (end < entering_.size() && entering_[end].id.level == entering_[first].id.level) ++end;
       pool_.run(static_cast<uint32_t>(end - first), [&](uint32_t tile) { enter(entering_[first + tile]); });
@@ -263,6 +267,7 @@ class CpuGather final : public Solver {
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
   std::vector<SlotRange> entering_;   // since enter(); the coarsest level of an update first
+  std::vector<SlotRange> left_;       // since enter()
   bool shows_parents_light_ = false;  // of these
   SemiIteration pace_;
   uint64_t repaired_ = 0;

@@ -1,10 +1,12 @@
 #include "runtime/cut/matrix_assembler.h"
 
+#include <chrono>
 #include <map>
 #include <thread>
 
 #include "runtime/cut/cut_builder.h"
 #include "runtime/solver/solver.h"
+#include "stream/start_threads.h"
 #include "tests/runtime/test_world.h"
 
 namespace ff::runtime {
@@ -283,6 +285,24 @@ TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
   }
   EXPECT_GT(taken, 10);
   EXPECT_GT(builder.latencySeconds(), 0);
+}
+
+// Whether its thread looks or sleeps: nobody waits for it.
+TEST(CutBuilder, FindsOutByItselfThatItIsAsked) {
+  const TestWorld test({.side = 16, .tile_nodes = 12});
+  CutBuilder builder(test.world(), FarLight::kPyramid, true);
+  for (const uint64_t seed : {1, 2, 3}) {
+    const Cut asked = test.randomCut(0.6, seed);
+    ASSERT_TRUE(builder.next(asked));
+    builder.begin();
+    const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+    while (!builder.holds(asked) && std::chrono::steady_clock::now() < until) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      ASSERT_TRUE(builder.next(asked));
+    }
+    ASSERT_TRUE(builder.holds(asked));
+    if (seed == 2) std::this_thread::sleep_for(2 * stream::kLooks * stream::kLook);
+  }
 }
 
 TEST(CutBuilder, ARefusedCutLeavesTheMatrixAsItWasAndTheNextOneComes) {
