@@ -49,7 +49,7 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
                  stream::Now now)
-    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii()), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, now_) {
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii()), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_) {
   const uint32_t most = mostSlots(world);
   const auto take = [most](auto& per_slot) {
     per_slot.reserve(kMaxSlots);

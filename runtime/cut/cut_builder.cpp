@@ -11,8 +11,8 @@
 
 namespace ff::runtime {
 
-CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, stream::Now now)
-    : companion_(companion), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
+CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, bool packs, stream::Now now)
+    : companion_(companion), packs_(packs), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light)) {
   for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
   for (auto* fading : {&fading_, &next_fading_}) fading->reserve(kMaxSlots / 16);
   if (!background) return;
@@ -66,6 +66,7 @@ void CutBuilder::work() {
       renumbered_ = false;
       if (renumber_) back_->renumberNext();
       if (built) built = back_->update(next_cut_, next_fading_);
+      if (built && packs_) back_->pack();
       if (built && companion_) companion_->build(*back_);
     } catch (const std::bad_alloc&) {
       built = Error{ErrorCode::kIo, "", "", "out of memory for the local matrix", ""};

@@ -27,8 +27,9 @@ class CutCompanion {
 // One thread calls. Nothing but a matrix that outgrows its capacity takes memory there.
 class CutBuilder {
  public:
-  // World and companion must outlive it. background: there is a thread; where the system has none, as without. now: the time that latencySeconds() counts by.
-  CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr, stream::Now now = std::chrono::steady_clock::now);
+  // World and companion must outlive it. background: there is a thread; where the system has none, as without. packs: it writes changes for a device, too
+  // (MatrixChange::packed). now: the time that latencySeconds() counts by.
+  CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr, bool packs = false, stream::Now now = std::chrono::steady_clock::now);
   ~CutBuilder();
 
   // Stays where it is; changes with next() only.
@@ -67,6 +68,7 @@ class CutBuilder {
   Result<void> take();
 
   CutCompanion* const companion_;
+  const bool packs_;
   const stream::Now now_;
   std::unique_ptr<MatrixAssembler> front_, back_;  // back_: null without a background
   LocalMatrix shown_;                              // the front's, while it is in front

@@ -128,6 +128,8 @@ struct FadingTile {
   float weight = 0;
 };
 
+class PackedChange;
+
 // What an update of the matrix changed, for those who keep something by slot.
 struct MatrixChange {
   bool any = false;
@@ -136,6 +138,7 @@ struct MatrixChange {
   std::vector<uint32_t> entered{};  // numbers in LocalMatrix::tiles, the coarsest level first
   std::vector<uint32_t> rows{};   // numbers in LocalMatrix::tiles: tiles with rows that changed, entered ones included
   std::vector<uint32_t> pages{};  // numbers of pages that changed (page_table.h)
+  const PackedChange* packed = nullptr;  // what entered and these pages, ready for a device (packed_rows.h); null: nobody has written it
 };
 
 // How columns outside the active level-0 tiles are treated.

@@ -133,6 +133,7 @@ const FadingTile* MatrixAssembler::findFading(formats::TileId id) const {
 Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span<const FadingTile> fading) {
   fading_ = fading;
   change_.any = change_.renumbered = false;
+  change_.packed = nullptr;
   change_.left.clear();
   change_.entered.clear();
   change_.rows.clear();
@@ -177,6 +178,11 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
   listLeavesAndRefined();
   for (Tile& tile : tiles_) tile.entered = false;
   return {};
+}
+
+void MatrixAssembler::pack() {
+  packed_.write(matrix_, change_);
+  change_.packed = &packed_;
 }
 
 // A tile keeps its slots unless its parent tile comes or goes, or gets other slots itself.

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "runtime/cut/packed_rows.h"
 #include "runtime/cut/page_table.h"
 #include "runtime/cut/range_allocator.h"
 
@@ -25,6 +26,9 @@ class MatrixAssembler {
   // rather than that all slots are given out anew; and what is not in the matrix does not enter. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
   // missing). A tile without its parent tile stands alone (local_matrix.h); where that comes or goes the tile enters anew.
   Result<void> update(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
+
+  // What the last update() changed, ready for a device: MatrixChange::packed, until the next one.
+  void pack();
 
   // Gives the matrix away for another, and takes it back likewise: in between the assembler is not used. Allocates nothing.
   void swap(LocalMatrix& matrix) { std::swap(matrix_, matrix); }
@@ -79,6 +83,7 @@ class MatrixAssembler {
   const uint32_t max_slots_;
   LocalMatrix matrix_;
   MatrixChange change_;
+  PackedChange packed_;
   bool renumber_next_ = false;
   PageTable pages_;
   RangeAllocator slots_, entries_, partners_, runs_;

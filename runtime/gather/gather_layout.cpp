@@ -1,10 +1,10 @@
 #include "runtime/gather/gather_layout.h"
 
 #include <algorithm>
-#include <bit>
 #include <functional>
 #include <string>
 
+#include "runtime/cut/packed_rows.h"
 #include "shaders/shared.h"
 
 namespace ff::runtime {
@@ -106,9 +106,10 @@ void GatherLayout::listTiles(const LocalMatrix& matrix) {
 bool GatherLayout::place(Tile& tile) {
   const stream::ResidentStrip& strip = *tile.strip;
   const uint32_t nodes = tile.range.nodes, words = strip.row_start[nodes];
-  tile.pages_at = 2 * (nodes + 1) + shaders::kNodeWords * nodes + strip.run_start[nodes];
-  tile.words_at = tile.pages_at + static_cast<uint32_t>(tile.partner_pages.size());
-  tile.packed_words = tile.words_at + (words + 1) / 2;
+  const PackedShape shape = packedShape(strip, tile.partner_pages.size());
+  tile.pages_at = shape.pages_at;
+  tile.words_at = shape.words_at;
+  tile.packed_words = shape.words;
   tile.entry_vectors = (words + shaders::kEntriesPerLoad - 1) / shaders::kEntriesPerLoad + nodes;
   const auto packed_at = packed_.allocate(tile.packed_words, 1);
   if (!packed_at) return false;
@@ -123,24 +124,6 @@ bool GatherLayout::place(Tile& tile) {
   }
   packed_.release(*packed_at, tile.packed_words);
   return false;
-}
-
-void GatherLayout::write(const LocalMatrix& matrix, const Tile& tile, uint32_t* words) {
-  const stream::ResidentStrip& strip = *tile.strip;
-  const uint32_t nodes = tile.range.nodes;
-  uint32_t* at = std::copy(strip.run_start.begin(), strip.run_start.end(), words);
-  at = std::copy(strip.row_start.begin(), strip.row_start.end(), at);
-  for (uint32_t slot = tile.range.first_slot; slot < tile.range.first_slot + nodes; ++slot) {
-    const Vec4& albedo = matrix.albedo[slot];
-    for (const float value : {albedo.x, albedo.y, albedo.z, matrix.area_m2[slot], matrix.row_scale[slot]})
-      *at++ = std::bit_cast<uint32_t>(value);
-    *at++ = matrix.parent_slot[slot];
-    *at++ = matrix.next_sibling[slot];
-  }
-  for (const auto& run : strip.runs) *at++ = uint32_t{run.words} << 16 | run.partner;
-  at = std::copy(tile.partner_pages.begin(), tile.partner_pages.end(), at);
-  for (size_t w = 0; w < strip.words.size(); w += 2)
-    *at++ = strip.words[w] | (w + 1 < strip.words.size() ? uint32_t{strip.words[w + 1]} << 16 : 0u);
 }
 
 // Every entry becomes a run of its own, in as many words as its count needs.

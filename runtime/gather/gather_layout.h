@@ -1,5 +1,4 @@
-// Where the packed rows of the cut's tiles and the entries that they resolve to lie on a device, and what their bytes are
-// (TileJob in shaders/shared.h). Bookkeeping of the Vulkan gather, without Vulkan.
+// Where the packed rows of the cut's tiles (packed_rows.h) and the entries that they resolve to lie on a device. Bookkeeping of the Vulkan gather, without Vulkan.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -39,8 +38,6 @@ class GatherLayout {
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change, bool afresh);
   // In the order of LocalMatrix::tiles; an ambient slot's comes last.
   std::span<const Tile> tiles() const { return tiles_; }
-  // Writes tile.packed_words words.
-  static void write(const LocalMatrix& matrix, const Tile& tile, uint32_t* words);
 
  private:
   void packByHand(const LocalMatrix& matrix);

@@ -16,7 +16,7 @@
 #include "gather_leave_comp.h"
 #include "refine_comp.h"
 #include "resolve_comp.h"
-#include "runtime/cut/page_table.h"
+#include "runtime/cut/packed_rows.h"
 #include "runtime/gather/gather_correction.h"
 #include "runtime/gather/gather_layout.h"
 #include "runtime/gather/semi_iteration.h"
@@ -51,6 +51,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> start();
 
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override;
+  bool resolvesRows() const override { return true; }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
   Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override;
@@ -95,6 +96,7 @@ class VulkanGather final : public VulkanRecorder {
   void stageEntered(std::span<const Vec4> values, const MatrixChange& change, const Buffer& to, std::vector<VkBufferCopy>& copies);
   void stageOnce(std::span<const Vec4> values, const Buffer& to, std::vector<VkBufferCopy>& copies, bool& has);
   Result<void> flush();
+  void stageTiles(const LocalMatrix& m, const MatrixChange& change);
   Result<void> stagePages(const LocalMatrix& m, const MatrixChange& change, bool all);
   void listJobs(const MatrixChange& change, bool all);
   void listSpans();
@@ -386,10 +388,7 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
     return tooSmall(std::to_string(m.slots()) + " slots, room was made for " + std::to_string(settings_.slots));
   if (auto r = layout_.update(m, change, all); !r) return r;
   if (auto r = stagePages(m, change, all); !r) return r;
-  for (const GatherLayout::Tile& tile : layout_.tiles())
-    if (tile.placed)
-      GatherLayout::write(m, tile,
-                          reinterpret_cast<uint32_t*>(stage(packed_, tile.packed_at * 4, tile.packed_words * 4, copies_to_packed_)));
+  stageTiles(m, change);
   matrix_ = &m;
   if (all) {
     stepped_ = false;
@@ -410,6 +409,23 @@ Result<void> VulkanGather::update(const LocalMatrix& m, const MatrixChange& chan
   all_ = all;
   if (correction_) correction_->update(m, change, afresh);
   return {};
+}
+
+void VulkanGather::stageTiles(const LocalMatrix& m, const MatrixChange& change) {
+  const std::span<const GatherLayout::Tile> tiles = layout_.tiles();
+  size_t entered = 0;  // in change.entered, whose numbers fall
+  for (size_t t = tiles.size(); t-- > 0;) {
+    const GatherLayout::Tile& tile = tiles[t];
+    while (entered < change.entered.size() && change.entered[entered] > t) ++entered;
+    if (!tile.placed) continue;
+    auto* const words = reinterpret_cast<uint32_t*>(stage(packed_, tile.packed_at * 4, tile.packed_words * 4, copies_to_packed_));
+    const bool has_entered = entered < change.entered.size() && change.entered[entered] == t;
+    const std::span<const uint32_t> packed = change.packed && has_entered ? change.packed->tile(entered) : std::span<const uint32_t>();
+    if (packed.empty())
+      writePacked(m, tile.range, *tile.strip, tile.partner_pages, words);
+    else
+      std::memcpy(words, packed.data(), packed.size_bytes());
+  }
 }
 
 Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& change, bool all) {
@@ -433,6 +449,8 @@ Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& 
   };
   if (all)
     for (uint32_t p = 0; p < m.pages->pages().size(); ++p) copy(p);
+  else if (change.packed && change.packed->pages().size() == change.pages.size())
+    for (size_t p = 0; p < change.pages.size(); ++p) std::memcpy(stage(pages_, change.pages[p] * kPageBytes, kPageBytes, copies_to_pages_), &change.packed->pages()[p], kPageBytes);
   else
     for (const uint32_t p : change.pages) copy(p);
   return {};

@@ -21,6 +21,7 @@ class Fallback final : public FallbackSolver {
         last_seen_[slot] = matrix.parent_slot[slot] != kNoSlot ? last_seen_[matrix.parent_slot[slot]] : Vec4{};
     return attempt([&](Solver& s) { return s.update(matrix, change); });
   }
+  bool resolvesRows() const override { return first_->resolvesRows(); }
   Result<void> setSource(std::span<const Vec4> source) override {
     source_.assign(source.begin(), source.end());
     return attempt([&](Solver& s) { return s.setSource(source_); });

@@ -127,6 +127,7 @@ class TimedSolver final : public runtime::Solver {
   Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->setEnteredSource(source, c); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
   void ease(uint32_t frames) override { of_->ease(frames); }
+  bool resolvesRows() const override { return of_->resolvesRows(); }
   Result<void> iterate(int k) override {
     if (auto* const recorder = dynamic_cast<runtime::VulkanRecorder*>(of_.get()); recorder && updater_)
       if (auto told = timed(update_, [&] { return shown_.tell(*recorder, *updater_); }); !told) return told;

@@ -232,11 +232,11 @@ TEST(MatrixAssembler, RadiosityHasTheSameBitsWhateverTheWalk) {
   }
 }
 
-// However often somebody looks in the meantime: matrix, slots and changes are those of one assembler that takes up the same cuts. What was asked for is the caller's
+// However often somebody looks in the meantime: matrix, slots and changes, and what is written of these for a device, are those of one assembler that takes up the same cuts. What was asked for is the caller's
 // again when the builder has read it.
 TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 7});
-  CutBuilder builder(test.world(), FarLight::kPyramid, true);
+  CutBuilder builder(test.world(), FarLight::kPyramid, true, nullptr, true);
   MatrixAssembler reference(test.world());
   const LocalMatrix* const where = &builder.matrix();
   std::mt19937_64 random(8);
@@ -281,6 +281,18 @@ TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
       ASSERT_EQ(builder.change().rows, reference.change().rows);
       ASSERT_EQ(builder.change().renumbered, reference.change().renumbered);
       ASSERT_EQ(builder.change().left.size(), reference.change().left.size());
+      ASSERT_TRUE(builder.change().packed);
+      for (size_t k = 0; k < reference.change().entered.size(); ++k) {
+        const uint32_t t = reference.change().entered[k];
+        const LocalMatrix::PackedRows& rows = n.packed[t];
+        std::vector<uint32_t> words(packedShape(*rows.strip, rows.partner_pages.size()).words);
+        writePacked(n, n.tiles[t], *rows.strip, rows.partner_pages, words.data());
+        ASSERT_TRUE(std::ranges::equal(builder.change().packed->tile(k), words));
+      }
+      ASSERT_EQ(builder.change().pages, reference.change().pages);
+      const auto pages = builder.change().packed->pages();
+      ASSERT_EQ(pages.size(), reference.change().pages.size());
+      for (size_t p = 0; p < pages.size(); ++p) ASSERT_EQ(pages[p], n.pages->page(reference.change().pages[p]));
     }
   }
   EXPECT_GT(taken, 10);
