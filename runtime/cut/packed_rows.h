@@ -30,7 +30,7 @@ class PackedChange {
   std::span<const PageTable::Page> pages() const { return pages_; }
 
  private:
-  std::vector<uint32_t> words_;
+  formats::UnsetVector<uint32_t> words_;
   std::vector<size_t> tile_at_;  // in words_; the last one's end
   std::vector<PageTable::Page> pages_;
 };

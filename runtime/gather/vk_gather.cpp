@@ -34,7 +34,7 @@ constexpr uint32_t kMaxTiles = 16383;    // 4 work groups each, of the 65535 tha
 constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
 constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
 constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
-static_assert(shaders::kPageNodes == formats::kTileNodes);
+static_assert(kPageBytes == sizeof(PageTable::Page));
 
 VkDescriptorBufferInfo whole(const Buffer& b) { return {b.handle(), 0, VK_WHOLE_SIZE}; }
 
@@ -429,30 +429,25 @@ void VulkanGather::stageTiles(const LocalMatrix& m, const MatrixChange& change) 
 }
 
 Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& change, bool all) {
-  const auto put = [&](uint32_t number, auto&& slot_of) {
-    auto* page = reinterpret_cast<uint16_t*>(stage(pages_, number * kPageBytes, kPageBytes, copies_to_pages_));
-    for (uint32_t i = 0; i < shaders::kPageNodes; ++i) page[i] = slot_of(i);
-  };
   if (!m.pages) {  // made by hand: pages in the order of slots
     const uint32_t pages = groupsOf(m.slots(), shaders::kPageNodes);
     if (pages > settings_.pages) return tooSmall("more pages than room was made for");
-    for (uint32_t p = 0; p < pages; ++p)
-      put(p, [p](uint32_t i) { return static_cast<uint16_t>(p * shaders::kPageNodes + i); });
+    for (uint32_t p = 0; p < pages; ++p) {
+      auto* const page = reinterpret_cast<uint16_t*>(stage(pages_, p * kPageBytes, kPageBytes, copies_to_pages_));
+      for (uint32_t i = 0; i < shaders::kPageNodes; ++i) page[i] = static_cast<uint16_t>(p * shaders::kPageNodes + i);
+    }
     return {};
   }
   if (m.pages->pages().size() > settings_.pages)
     return tooSmall(std::to_string(m.pages->pages().size()) + " pages, room was made for " +
                     std::to_string(settings_.pages));
-  const auto copy = [&](uint32_t number) {
-    const PageTable::Page& page = m.pages->page(number);
-    put(number, [&](uint32_t i) { return page[i]; });
-  };
-  if (all)
-    for (uint32_t p = 0; p < m.pages->pages().size(); ++p) copy(p);
-  else if (change.packed && change.packed->pages().size() == change.pages.size())
-    for (size_t p = 0; p < change.pages.size(); ++p) std::memcpy(stage(pages_, change.pages[p] * kPageBytes, kPageBytes, copies_to_pages_), &change.packed->pages()[p], kPageBytes);
-  else
-    for (const uint32_t p : change.pages) copy(p);
+  const auto copy = [&](uint32_t number, const PageTable::Page& page) { std::memcpy(stage(pages_, number * kPageBytes, kPageBytes, copies_to_pages_), &page, kPageBytes); };
+  if (all) {
+    for (uint32_t p = 0; p < m.pages->pages().size(); ++p) copy(p, m.pages->page(p));
+    return {};
+  }
+  const bool packed = change.packed && change.packed->pages().size() == change.pages.size();
+  for (size_t p = 0; p < change.pages.size(); ++p) copy(change.pages[p], packed ? change.packed->pages()[p] : m.pages->page(change.pages[p]));
   return {};
 }
 
