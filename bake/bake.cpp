@@ -327,8 +327,8 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   set.forgetPieces();
   giveBackMemory();
   stats.ray_seconds = since(cast_began);
-  PagedVector<float> sky(n), whole_area(n);
-  PagedVector<uint8_t> narrow(n), lamp_lit(n);
+  PagedVector<float> sky(n), lamp_light(n), whole_area(n);
+  PagedVector<uint8_t> narrow(n);
   double square_error = 0;
   for (size_t i = 0; i < n; ++i) {
     const PatchSight& sight = hits.sight[i];
@@ -338,7 +338,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
     square_error += static_cast<double>(sight.square_error);
     sky[i] = sight.sky_fraction / sight.exposed();
     narrow[i] = sight.narrow;
-    lamp_lit[i] = sight.lamp_lit;
+    lamp_light[i] = sight.lamp_light;
     stats.sky_fraction += a * static_cast<double>(sight.sky_fraction);
     stats.absorbed_fraction += a * sight.absorbed / rays;
     stats.buried_fraction += a * sight.buried / rays;
@@ -355,7 +355,7 @@ Result<BakeStats> bake(const Scene& whole, const BakeSettings& settings, const s
   keep(lightOnBacks(scene, set, hits, stats.absorbed_fraction), stats.findings);
 
   // Pooling and the pyramid.
-  const Hierarchy hierarchy = makeHierarchy(set.patches, sky, narrow, lamp_lit);
+  const Hierarchy hierarchy = makeHierarchy(set.patches, sky, narrow, lamp_light);
   PagedVector<uint32_t> patch_of(n);
   for (uint32_t p = 0; p < n; ++p) patch_of[hierarchy.number[p]] = p;
   uint64_t tiles_total = 0;

@@ -142,11 +142,13 @@ HitRows decodedHits(std::span<const std::byte> bytes) {
 }
 
 PatchSight sightOf(const HitRows& rows, size_t patch) {
+  double lamp_light = 0;
+  for (const LampIrradiance& lamp : rows.lamps[patch]) lamp_light += (lamp.rgb[0] + lamp.rgb[1] + lamp.rgb[2]) / 3;
   return {.rays = static_cast<uint16_t>(rows.rays[patch]),
           .absorbed = static_cast<uint16_t>(rows.absorbed[patch]),
           .buried = static_cast<uint16_t>(rows.buried[patch]),
           .narrow = rows.narrow[patch],
-          .lamp_lit = !rows.lamps[patch].empty(),
+          .lamp_light = static_cast<float>(lamp_light),
           .sky_fraction = rows.sky_fraction[patch],
           .square_error = rows.square_error[patch]};
 }

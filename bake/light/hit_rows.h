@@ -71,7 +71,7 @@ HitRows decodedHits(std::span<const std::byte> bytes);
 struct PatchSight {
   uint16_t rays = 0, absorbed = 0, buried = 0;
   uint8_t narrow = 0;       // HitRows::narrow
-  bool lamp_lit = false;    // some lamp's light arrives directly
+  float lamp_light = 0;     // that arrives directly, W/m2, mean of the colours
   float sky_fraction = 0, square_error = 0;
 
   float exposed() const { return exposedFraction(buried, rays); }

@@ -2,13 +2,14 @@
 // orientation and openness class (interiors, exteriors and crevices must not mix, or the light of a wall seeps into the
 // dark behind it), and the same lamp group or none (a lamp is seen where its
 // shade is not, and is switched alone), and of what lamps light directly or do not (or the dark underside of an eave shines by night with the
-// light of the wall above: of level 2's clusters of a castle at night half were off by 84 %, now by 23 %); areas add, exchange areas add.
+// light of the wall above: of level 2's clusters of a castle at night half were off by 84 %, now by 23 %); up to level kBrightLevels they are of one brightness, too.
+// Areas add, exchange areas add.
 //
 // Tiles form a tree: the children of a tile's nodes fill tiles of their own. They are compact: a cube of cells is one tile, with all classes
 // in it, if it is at most 2^kTileEdgeLog cells of its level wide and has at most kTileNodes nodes; else it is cut into its eight, of
 // which neighbours along the Hilbert curve share a tile while they fit. So a tile's width is bounded whatever the world. Tiles of a
 // level are in the order of their parent tiles, then along the curve; nodes of a tile are sorted by (lamp group, orientation, Hilbert key):
-// those that face one way have similar rows. What a node sees (its openness, whether lamps light it) has no part in the order of patches: a
+// those that face one way have similar rows. What a node sees (its openness, what lamps light it with) has no part in the order of patches, and little in where tiles end: a
 // shadow that an edit throws on a tile moves none of its patches, so that rows elsewhere name them as before. So siblings are near each other
 // in their tile, but others may stand between them.
 #pragma once
@@ -26,6 +27,11 @@ inline constexpr uint32_t kTopNodes = 2000;     // levels go up until one has at
 inline constexpr uint32_t kMaxSiblings = 64;
 inline constexpr int kTileEdgeLog = 4;          // 8 cells instead of 16: 3 % more bytes, 1.7 times the tiles, no better a cut (town of 120k)
 static_assert(kTileEdgeLog + 1 <= formats::kChunkLog, "what lies beneath a tile lies in one chunk");
+
+// Up to this level what lamps light a node's patches with directly is within an octave, all that is darker than their chunk's mean being one: where a cluster stands for its
+// patches, what is seen is that they differ, and most of that is direct light. On two levels more it takes slots that finer ones need (town of 1M by night: RESULTS.md).
+inline constexpr int kBrightLevels = 3;
+static_assert(kBrightLevels <= formats::kChunkLog, "what a node gathers lies in one chunk of level 0");
 
 // Openness class of a patch: 0 interior, 1 half open, 2 open, by the fraction of its rays that reach the sky; 3 and 4 an
 // interior that is narrow (an alley, the space inside a thick wall) or very much so (a crevice): HitRows::narrow.
@@ -47,9 +53,9 @@ struct Hierarchy {
   uint32_t levels() const { return static_cast<uint32_t>(nodes.size()); }
 };
 
-// sky_fraction, narrow, lamp_lit (1: some lamp's light arrives directly): per patch; the latter two may be empty.
+// Per patch: sky_fraction, narrow, lamp_light (what arrives of lamps directly, W/m2; 0: none); the latter two may be empty.
 Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> sky_fraction,
-                        std::span<const uint8_t> narrow = {}, std::span<const uint8_t> lamp_lit = {});
+                        std::span<const uint8_t> narrow = {}, std::span<const float> lamp_light = {});
 
 // The level above: a tile's rows from those of its child tiles, on all of TBB's threads. `own` is filled. light: of all nodes of the level below,
 // as rowFactor() asks for it; returns that of this level. done: counts tiles. Memory: of the tiles in work, and 9 bytes a node of the level for each thread.

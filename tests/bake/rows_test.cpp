@@ -187,11 +187,11 @@ TEST(Pyramid, WhatPatchesSeeDoesNotMoveThemInTheirTile) {
   const CastScene c = cast(closedBox({.5f, .5f, .5f}, {}), 0.03125f, 16);
   const size_t n = c.set.patches.size();
   std::vector<float> sky(n, 0.5f);
-  std::vector<uint8_t> lit(n, 0);
-  const Hierarchy before = makeHierarchy(c.set.patches, sky, {}, lit);
+  std::vector<float> lamp_light(n, 0);
+  const Hierarchy before = makeHierarchy(c.set.patches, sky, {}, lamp_light);
   for (size_t i = 0; i < n; i += 7) sky[i] = 0.1f;
-  for (size_t i = 0; i < n; i += 11) lit[i] = 1;
-  const Hierarchy after = makeHierarchy(c.set.patches, sky, {}, lit);
+  for (size_t i = 0; i < n; i += 11) lamp_light[i] = 1;
+  const Hierarchy after = makeHierarchy(c.set.patches, sky, {}, lamp_light);
   EXPECT_GT(after.nodes[1], before.nodes[1]);
   EXPECT_EQ(after.number, before.number);
   EXPECT_EQ(after.tile_start[0], before.tile_start[0]);
@@ -315,6 +315,90 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
     EXPECT_EQ(c.set.patches[a].lamp_group, c.set.patches[b].lamp_group);
     EXPECT_EQ(narrow[a], narrow[b]);
   }
+}
+
+// A town of 256 x 256 cells, and what lamps 24 cells apart and 4 cells above the ground give each patch, W/m2, as if nothing stood between; beyond 12 cells nothing.
+struct LampLitTown {
+  std::vector<Patch> patches = townPatches(256);
+  std::vector<float> sky = std::vector<float>(patches.size(), 0.5f), lamp_light = std::vector<float>(patches.size());
+  LampLitTown() {
+    for (size_t i = 0; i < patches.size(); ++i) {
+      patches[i].area_m2 = 1;
+      const auto off = [](int32_t at) { return static_cast<float>(at % 24 - 12); };
+      const float x = off(patches[i].cell[0] + 24), y = static_cast<float>(patches[i].cell[1] - 4), z = off(patches[i].cell[2] + 24), square = x * x + y * y + z * z + 0.3f;
+      if (square < 144) lamp_light[i] = 40 / square;
+    }
+  }
+  formats::ChunkCell chunk(size_t patch) const {
+    const Cell& cell = patches[patch].cell;
+    return {cell[0] >> formats::kChunkLog, cell[1] >> formats::kChunkLog, cell[2] >> formats::kChunkLog};
+  }
+};
+
+TEST(Pyramid, ClustersUpToABrightLevelHaveLightOfOneOctave) {
+  const LampLitTown town;
+  std::map<formats::ChunkCell, std::pair<double, double>> lit;  // power and area of what is lit in a chunk
+  for (size_t i = 0; i < town.patches.size(); ++i)
+    if (town.lamp_light[i] > 0) {
+      lit[town.chunk(i)].first += static_cast<double>(town.lamp_light[i]);
+      lit[town.chunk(i)].second += 1;
+    }
+  const Hierarchy h = makeHierarchy(town.patches, town.sky, {}, town.lamp_light);
+  ASSERT_GT(h.levels(), static_cast<uint32_t>(kBrightLevels) + 1);
+  std::vector<uint32_t> node(h.number.begin(), h.number.end());  // of each patch
+  for (uint32_t level = 1; level < h.levels(); ++level) {
+    std::vector<std::pair<float, float>> range(h.nodes[level], {1e9f, 0.0f});  // darkest and brightest patch of each
+    std::vector<double> mean(h.nodes[level]);
+    for (size_t i = 0; i < node.size(); ++i) {
+      node[i] = h.parents[level - 1][node[i]];
+      auto& [least, most] = range[node[i]];
+      least = std::min(least, town.lamp_light[i]);
+      most = std::max(most, town.lamp_light[i]);
+      if (town.lamp_light[i] > 0) mean[node[i]] = lit[town.chunk(i)].first / lit[town.chunk(i)].second;
+    }
+    size_t uneven = 0, dim = 0;
+    for (size_t k = 0; k < range.size(); ++k) {
+      const auto [least, most] = range[k];
+      EXPECT_EQ(least > 0, most > 0) << "a node of level " << level << " is lit in part";
+      uneven += most >= 2 * least && static_cast<double>(most) > mean[k];
+      dim += most >= 2 * least && static_cast<double>(most) <= mean[k];
+    }
+    EXPECT_EQ(uneven > 0, level > static_cast<uint32_t>(kBrightLevels)) << level << ": " << uneven;
+    EXPECT_GT(dim, 0u) << "what is dark is split for nothing";
+  }
+}
+
+// So rows elsewhere name patches of a place as before when a house comes to stand between it and a lamp.
+TEST(Pyramid, ShadowsOfLampsDoNotChangeWhichPatchesMakeUpATile) {
+  LampLitTown town;
+  const Hierarchy before = makeHierarchy(town.patches, town.sky, {}, town.lamp_light);
+  for (size_t i = 0; i < town.patches.size(); ++i)
+    if (town.patches[i].cell[0] % 24 / 4 == 1 && town.patches[i].cell[2] % 24 >= 12) town.lamp_light[i] *= 0.2f;
+  const Hierarchy after = makeHierarchy(town.patches, town.sky, {}, town.lamp_light);
+  EXPECT_NE(after.nodes[1], before.nodes[1]);
+  EXPECT_EQ(after.number, before.number);
+  EXPECT_EQ(after.tile_parents[0], before.tile_parents[0]);
+  EXPECT_EQ(after.tile_start[0], before.tile_start[0]);
+}
+
+TEST(Pyramid, LampsOfOneChunkPartNoClustersOfAnother) {
+  LampLitTown town;
+  const auto clustersOf = [&](const formats::ChunkCell& chunk) {
+    const Hierarchy h = makeHierarchy(town.patches, town.sky, {}, town.lamp_light);
+    std::map<uint32_t, std::set<size_t>> by_parent;
+    for (size_t i = 0; i < town.patches.size(); ++i)
+      if (town.chunk(i) == chunk) by_parent[h.parents[0][h.number[i]]].insert(i);
+    std::set<std::set<size_t>> clusters;
+    for (auto& [parent, patches] : by_parent) clusters.insert(std::move(patches));
+    return clusters;
+  };
+  const formats::ChunkCell here{0, 0, 0}, there{2, 0, 2};
+  const auto before_here = clustersOf(here), before_there = clustersOf(there);
+  ASSERT_GT(before_here.size(), 100u);
+  for (size_t i = 0; i < town.patches.size(); ++i)
+    if (town.chunk(i) == there && town.patches[i].cell[0] % 3 == 0) town.lamp_light[i] *= 50;
+  EXPECT_NE(clustersOf(there), before_there);
+  EXPECT_EQ(clustersOf(here), before_here);
 }
 
 TEST(FormFactor, APlaceIsNarrowWhereMostRaysEndWithinFourCellsAndMoreSoWithinOne) {
