@@ -17,13 +17,21 @@
 namespace ff::bake {
 namespace {
 
+// That nodes of a level go by.
+uint8_t brightnessAt(int level, uint8_t brightness) { return level <= kBrightLevels ? brightness : uint8_t{0}; }
+
+formats::ChunkCell chunkOf(const Patch& patch, int level) {
+  formats::ChunkCell chunk;
+  for (size_t a = 0; a < 3; ++a) chunk[a] = patch.cell[a] >> (level + formats::kChunkLog);
+  return chunk;
+}
+
 struct SortKey {
   uint64_t top;     // cell of the coarsest level
   uint32_t group;   // lamp group, orientation, openness, whether lamps light it
   uint32_t patch;
   uint64_t key;     // cell of the patch
   uint8_t brightness;
-  uint32_t brightnessAt(int level) const { return level <= kBrightLevels ? brightness : 0; }
   // A cluster's patches follow each other on every level.
   friend bool operator<(const SortKey& a, const SortKey& b) {
     const uint64_t place_a = hilbertAncestor(a.key, kBrightLevels), place_b = hilbertAncestor(b.key, kBrightLevels);
@@ -34,7 +42,7 @@ struct SortKey {
 size_t countClusters(std::span<const Patch> patches, std::span<const uint32_t> group, std::span<const uint8_t> brightness, int level) {
   PagedVector<std::tuple<uint64_t, uint32_t, uint8_t>> clusters(patches.size());
   for (size_t i = 0; i < patches.size(); ++i)
-    clusters[i] = {hilbertAncestor(patches[i].key, level), group[i], level <= kBrightLevels ? brightness[i] : uint8_t{0}};
+    clusters[i] = {hilbertAncestor(patches[i].key, level), group[i], brightnessAt(level, brightness[i])};
   tbb::parallel_sort(clusters.begin(), clusters.end());
   return static_cast<size_t>(std::unique(clusters.begin(), clusters.end()) - clusters.begin());
 }
@@ -46,22 +54,17 @@ PagedVector<uint8_t> brightnessOf(std::span<const Patch> patches, std::span<cons
     double power = 0, area_m2 = 0;
   };
   std::map<formats::ChunkCell, Lit> chunks;
-  const auto chunkOf = [&](size_t i) -> Lit& {
-    formats::ChunkCell chunk;
-    for (size_t a = 0; a < 3; ++a) chunk[a] = patches[i].cell[a] >> formats::kChunkLog;
-    return chunks[chunk];
-  };
   PagedVector<uint8_t> brightness(patches.size());
   for (size_t i = 0; i < lamp_light.size(); ++i) {
     if (lamp_light[i] <= 0) continue;
-    Lit& lit = chunkOf(i);
+    Lit& lit = chunks[chunkOf(patches[i], 0)];
     const auto area_m2 = static_cast<double>(patches[i].area_m2);
     lit.power += area_m2 * static_cast<double>(lamp_light[i]);
     lit.area_m2 += area_m2;
   }
   for (size_t i = 0; i < lamp_light.size(); ++i) {
     if (lamp_light[i] <= 0) continue;
-    const Lit& lit = chunkOf(i);
+    const Lit& lit = chunks[chunkOf(patches[i], 0)];
     const int above = std::ilogb(lamp_light[i]) - std::ilogb(lit.power / lit.area_m2);
     brightness[i] = static_cast<uint8_t>(std::clamp(above + 2, 1, 255));
   }
@@ -105,7 +108,7 @@ class TileCutter {
     std::sort(families.begin(), families.end(), [](const Family& a, const Family& b) {
       return std::tie(a.cell, a.group, a.first) < std::tie(b.cell, b.group, b.first);
     });
-    countPlaces(families);
+    if (most_places_ < formats::kTileNodes) countPlaces(families);  // else they are no limit: a node is at one place
     int edge_log = family_log_;
     while (cube(families.front(), edge_log) != cube(families.back(), edge_log)) ++edge_log;
     cut(families, edge_log);
@@ -227,7 +230,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
     uint32_t siblings = 0;
     for (size_t k = 0; k < first.size(); ++k) {
       const SortKey &a = order[first[k]], &b = order[first[k > 0 ? k - 1 : 0]];
-      const bool same = k > 0 && siblings < kMaxSiblings && a.group == b.group && a.brightnessAt(level) == b.brightnessAt(level) &&
+      const bool same = k > 0 && siblings < kMaxSiblings && a.group == b.group && brightnessAt(level, a.brightness) == brightnessAt(level, b.brightness) &&
                         hilbertAncestor(a.key, level) == hilbertAncestor(b.key, level);
       if (!same) {
         own.first.push_back(first[k]);
@@ -259,7 +262,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
     const int family_log = level == top ? 0 : 1;
     const auto placeOf = [&](uint32_t node) {
       const SortKey& key = order[own.first[node]];
-      return Place{key.group / kSeen, hilbertAncestor(key.key, level), level == 0 ? key.patch : key.group % kSeen << 8 | key.brightnessAt(level), node};
+      return Place{key.group / kSeen, hilbertAncestor(key.key, level), level == 0 ? key.patch : key.group % kSeen << 8 | brightnessAt(level, key.brightness), node};
     };
     TileCutter cutter(family_log, lamps && level > 0 && level <= kBrightLevels ? kTilePlaces : formats::kTileNodes, placeOf, now, h.tile_start[l]);
     const auto familyOf = [&](uint32_t first, uint32_t nodes) {
@@ -286,7 +289,7 @@ Hierarchy makeHierarchy(std::span<const Patch> patches, std::span<const float> s
     std::map<formats::ChunkCell, uint32_t> numbers;  // of tiles so far
     for (uint32_t t = 0; t + 1 < h.tile_start[l].size(); ++t) {
       formats::TileName name;
-      for (size_t a = 0; a < 3; ++a) name.chunk[a] = patches[order[own.first[now[h.tile_start[l][t]]]].patch].cell[a] >> (level + formats::kChunkLog);
+      name.chunk = chunkOf(patches[order[own.first[now[h.tile_start[l][t]]]].patch], level);
       name.tile = numbers[name.chunk]++;
       h.names[l].push_back(name);
     }
