@@ -53,7 +53,7 @@ Result<void> checkSettings(const Scene& scene, const BakeSettings& s) {
   };
   if (s.rays < 1 || s.rays > 65535) return usage("rays must be 1 to 65535", "4096 is a good value");
   if (!(s.target_error >= 0 && s.target_error < 1)) return usage("the error asked for must be above 0 and below 100 %", "2% is a good value");
-  if (s.quanta < 1 || s.quanta > formats::kMaxQuanta) return usage("quanta must be 1 to 65535", "512 is a good value");
+  if (s.quanta < 1 || s.quanta > formats::kMaxQuanta) return usage("quanta must be 1 to " + std::to_string(formats::kMaxQuanta), "512 is a good value");
   if (!(s.cell_m >= 0) || !std::isfinite(s.cell_m)) return usage("patch size must be positive", "give metres");
   if (!(s.metals >= 0 && s.metals <= 1)) return usage("the share of metals must be 0 to 1", "1 is a good value");
   if (scene.triangles.empty())

@@ -38,7 +38,7 @@ struct BakeSettings {
   uint64_t patch_budget = 60000;  // used when cell_m is 0
   uint32_t rays = 4096;           // per patch, 1..65535; with a target_error the most; more go towards lamps and where little sky is seen
   float target_error = 0;         // of the light that rays bring 99 of 100 patches, at most, relative (light/row_error.h); 0: all patches cast `rays`
-  uint32_t quanta = 512;          // Q of a patch's row, at least, 1..65535: row_samples.h; clusters have kClusterQuanta of it
+  uint32_t quanta = 512;          // Q of a patch's row, at least, 1..16383: row_samples.h; clusters have kClusterQuanta of it
   uint64_t seed = 1;
   int threads = 0;                // 0: all cores. Never changes a byte of the result.
   float metals = 1;               // PatchSettings::metals

@@ -59,8 +59,8 @@ Result<std::optional<SolverChoice>> readRecommendation(const std::string& world_
     to = at->get<std::remove_reference_t<decltype(to)>>();
     return true;
   };
-  if (!whole("places", 1, kMaxSlots, choice.places))
-    return wrong(path, "places", "is not a whole number from 1 to " + std::to_string(kMaxSlots));
+  if (!whole("places", 1, kMaxPlaces, choice.places))
+    return wrong(path, "places", "is not a whole number from 1 to " + std::to_string(kMaxPlaces));
   if (!whole("iterations", 1, 1000, choice.iterations))
     return wrong(path, "iterations", "is not a whole number from 1 to 1000");
   const auto number = [&](const char* key, double least, double most, std::optional<float>& to) {
@@ -85,7 +85,7 @@ SolverChoice chooseSolver(const LocalMatrix& m) {
   double kept = 0, area = 0;
   for (const uint32_t s : m.leaves) {
     uint64_t sum = 0;
-    for (const uint32_t entry : m.row(s)) sum += entry & 0xffff;
+    for (const uint32_t entry : m.row(s)) sum += countOfEntry(entry);
     const Vec4 rho = m.albedo[s];
     const auto most = static_cast<double>(std::max({rho.x, rho.y, rho.z}));
     kept += static_cast<double>(m.area_m2[s]) * most * static_cast<double>(sum) * static_cast<double>(m.row_scale[s]);

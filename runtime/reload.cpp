@@ -23,7 +23,7 @@ Result<std::unique_ptr<Generation>> Generation::create(formats::World opened, co
 }
 
 Generation::Generation(std::unique_ptr<formats::World> opened, std::unique_ptr<stream::Streamer> strips, const GenerationSettings& settings, Solver& solver)
-    : world(std::move(opened)), streamer(std::move(strips)), updater(*world, *streamer, solver, FarLight::kPyramid, true, settings.fade, settings.max_applied_tiles) {
+    : world(std::move(opened)), streamer(std::move(strips)), updater(*world, *streamer, solver, FarLight::kPyramid, true, settings.fade, settings.max_applied_tiles), slots(updater.matrix().most_slots) {
   if (settings.probes) probes.emplace(*world, slots, *settings.probes);
 }
 

@@ -49,15 +49,15 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
                  stream::Now now)
-    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii()), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_) {
-  const uint32_t most = mostSlots(world);
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii(), slotsFor(streamer.maxNodes())), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_, slotsFor(streamer.maxNodes())) {
+  const uint32_t most = matrix().most_slots;
   const auto take = [most](auto& per_slot) {
-    per_slot.reserve(kMaxSlots);
+    per_slot.reserve(most);
     touchMemory(per_slot, most);
   };
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) take(*per_slot);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) take(*per_slot);
-  tiles_before_.reserve(kMaxSlots / 16);
+  tiles_before_.reserve(most / 16 + 1);
   entering_.set(sky_, lamps_);
 }
 

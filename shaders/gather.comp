@@ -1,5 +1,5 @@
 // One Jacobi iteration of B = M + albedo * F B over the leaf slots: a subgroup takes a row, its lanes take uvec4 of entries
-// (column << 16 | count) side by side, and the subgroup adds up. Works for any subgroup size: lanes are counted, not assumed,
+// (column slot << kCountBits | count) side by side, and the subgroup adds up. Works for any subgroup size: lanes are counted, not assumed,
 // because a subgroup may be only partly filled and gl_SubgroupSize is then too large.
 // A step that goes further: `after` holds the values of two steps ago, and the step goes on from there, omega times as far
 // (Chebyshev semi-iteration); no value falls below its source. A source that is no light counts as 0, a result that is
@@ -41,7 +41,7 @@ vec4 heldBack(vec3 light, vec4 so_far) {
 }
 #endif
 
-vec3 term(uint entry) { return float(entry & 0xffffu) * before[entry >> 16].rgb; }
+vec3 term(uint entry) { return float(entry & kCountMask) * before[entry >> kCountBits].rgb; }
 
 void main() {
   const uint lanes = subgroupAdd(1u);

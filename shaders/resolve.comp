@@ -1,4 +1,4 @@
-// Packed rows to entries (column slot << 16 | count) through the page table: a subgroup takes a row, a lane a run. A run
+// Packed rows to entries (column slot << kCountBits | count) through the page table: a subgroup takes a row, a lane a run. A run
 // lies in one partner tile; neighbours that resolve to one slot merge within it, as in MatrixAssembler, entry for entry.
 // Rows of leaves only.
 #version 450
@@ -17,9 +17,8 @@ layout(std430, binding = 4) buffer Rows { GatherRow rows[]; };
 layout(std430, binding = 5) buffer Entries { uint entries[]; };
 
 uint half_word(uint at) { return (packed_words[at >> 1] >> ((at & 1u) * 16u)) & 0xffffu; }
-uint slotOf(uint page, uint column) {
-  return (pages[page * (kPageNodes / 2u) + (column >> 1)] >> ((column & 1u) * 16u)) & 0xffffu;
-}
+// From the first slot of the page on.
+uint indexOf(uint page, uint column) { return (pages[page * kPageWords + 1u + (column >> 2)] >> ((column & 3u) * 8u)) & 0xffu; }
 
 void main() {
   const uint lanes = subgroupAdd(1u), lane = subgroupExclusiveAdd(1u);
@@ -37,20 +36,21 @@ void main() {
       const bool mine = run + lane < run_end;
       const uint described = mine ? packed_words[runs_at + run + lane] : 0u, words = described >> 16;
       const uint page = mine ? packed_words[job.packed_at + job.pages_at + (described & 0xffffu)] : 0u;
-      const uint begin = word + subgroupExclusiveAdd(words);
-      uint count = 0u, last = kTopSlot;
+      const uint begin = word + subgroupExclusiveAdd(words), none = 0xffffffffu;
+      uint count = 0u, last = none;
       for (uint k = 0u; k < words; ++k) {
-        const uint column = slotOf(page, half_word(begin + k) >> 8);
-        count += column != last ? 1u : 0u;
-        last = column;
+        const uint index = indexOf(page, half_word(begin + k) >> 8);
+        count += index != last ? 1u : 0u;
+        last = index;
       }
+      const uint first_slot = mine ? pages[page * kPageWords] : 0u;
       uint to = entry + subgroupExclusiveAdd(count), sum = 0u;
-      last = kTopSlot;
+      last = none;
       for (uint k = 0u; k < words; ++k) {
-        const uint packed_entry = half_word(begin + k), column = slotOf(page, packed_entry >> 8);
-        if (column != last && last != kTopSlot) entries[to++] = sum;
-        sum = (column != last ? column << 16 : sum) + (packed_entry & 0xffu);
-        last = column;
+        const uint packed_entry = half_word(begin + k), index = indexOf(page, packed_entry >> 8);
+        if (index != last && last != none) entries[to++] = sum;
+        sum = (index != last ? (first_slot + index) << kCountBits : sum) + (packed_entry & 0xffu);
+        last = index;
       }
       if (words > 0u) entries[to] = sum;
       word += subgroupAdd(words);

@@ -19,7 +19,7 @@ namespace {
 class BackgroundStreamer final : public Streamer {
  public:
   // Throws std::system_error where no thread can be started, and leaves `of` alone then.
-  BackgroundStreamer(std::unique_ptr<Streamer>& of, size_t max_active) : Streamer({of->radii().begin(), of->radii().end()}), stats_taken_(of->stats()), stats_(stats_taken_) {
+  BackgroundStreamer(std::unique_ptr<Streamer>& of, size_t max_active) : Streamer({of->radii().begin(), of->radii().end()}, of->maxNodes()), stats_taken_(of->stats()), stats_(stats_taken_) {
     for (auto* list : {&active_, &ready_, &making_}) list->reserve(max_active);
     active_.assign(of->active().begin(), of->active().end());
     expected_.reserve(kMaxObservers);

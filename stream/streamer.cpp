@@ -41,7 +41,7 @@ class StreamerImpl final : public Streamer {
  public:
   // top: the coarsest level's chunks.
   StreamerImpl(const formats::World& world, const StreamSettings& settings, std::unique_ptr<TileSource> source, std::span<const formats::ChunkPtr> top, Now now)
-      : Streamer(radiiOf(world, settings.radius_m, settings.growth)),
+      : Streamer(radiiOf(world, settings.radius_m, settings.growth), settings.max_nodes),
         world_(world),
         retry_after_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<float>(settings.retry_seconds))),
         wanted_(world, settings),

@@ -26,7 +26,7 @@ struct StreamSettings {
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 24576;            // likewise, for active patches
-  uint32_t max_nodes = 57344;                   // of all wanted tiles together: slots are 16 bits, and an eighth of them stays
+  uint32_t max_nodes = 57344;                   // of all wanted tiles together; a seventh more have room in the matrix, for what fades out
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
   int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 60 m/s wants some 200 a second, also where each
@@ -81,6 +81,8 @@ class Streamer {
   virtual ~Streamer() = default;
   // Within which a tile is wanted, m, by level; less where a budget runs out.
   std::span<const float> radii() const { return radii_m_; }
+  // Of all wanted tiles together.
+  uint32_t maxNodes() const { return max_nodes_; }
 
   // By an observer's velocity, and by how it turns, its path is foretold and read ahead; each keeps its number from call to call. Budgets are of all
   // together: where they run out, the same smaller radius is everybody's. Returns true if the active set has changed.
@@ -104,10 +106,11 @@ class Streamer {
   virtual std::string lastFailure() const = 0;
 
  protected:
-  explicit Streamer(std::vector<float> radii_m) : radii_m_(std::move(radii_m)) {}
+  Streamer(std::vector<float> radii_m, uint32_t max_nodes) : radii_m_(std::move(radii_m)), max_nodes_(max_nodes) {}
 
  private:
   const std::vector<float> radii_m_;
+  const uint32_t max_nodes_;
 };
 
 }  // namespace ff::stream

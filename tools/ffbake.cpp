@@ -107,7 +107,7 @@ int run(int argc, char** argv) {
                             ->capture_default_str();
   CLI::Option* rays = app.add_option("--rays", settings.rays, "so many rays per patch instead, 1 to 65535; with --target-error at most so many")
                           ->default_str("16384 at most");
-  CLI::Option* samples = app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 65535; up to 8 times as many where few bright surfaces light it")->capture_default_str();
+  CLI::Option* samples = app.add_option("--samples,--quanta", settings.quanta, "Q: samples kept of a row, 1 to 16383; up to 8 times as many where few bright surfaces light it")->capture_default_str();
   app.add_option("--seed", settings.seed, "seed of all sampling")->capture_default_str();
   app.add_option("--threads", settings.threads, "threads (default: all cores); never changes the result");
   app.add_option("--metals", settings.metals, "share of a metal's mirror reflection carried on as diffuse light, 0 to 1")

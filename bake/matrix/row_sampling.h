@@ -17,7 +17,7 @@ struct SampledRow {
   double total = 1;              // the row's sum before it was scaled to 1, in units of the node's area
 };
 
-// offset in [0, 1): where the first point lies. 1 <= quanta <= 65535. A row without any exchange is all absorbed.
+// offset in [0, 1): where the first point lies. 1 <= quanta <= kMaxQuanta. A row without any exchange is all absorbed.
 void sampleRow(const ExchangeRow& row, float area_m2, uint32_t quanta, double offset, SampledRow& out);
 
 }  // namespace ff::bake

@@ -78,7 +78,7 @@ Result<void> checkNode(const Strip& strip, size_t i, const Box& bounds) {
     if (!(std::abs(mean) <= 1.001f)) return bad("a mean of the sky's quadratics is outside -1..1");
   if (!(n.sky_fraction >= 0) || !(n.sky_fraction <= 1)) return bad("sky fraction is outside 0..1");
   if (!(n.row_total >= 0)) return bad("row total is negative");
-  if (n.quanta > kMaxQuanta || n.sky > kMaxQuanta || n.absorbed > kMaxQuanta) return bad("more than 65535 quanta");
+  if (n.quanta > kMaxQuanta || n.sky > kMaxQuanta || n.absorbed > kMaxQuanta) return bad("more than 16383 quanta");
   return {};
 }
 

@@ -23,7 +23,7 @@ static_assert(FORMFIELD_MAX_OBSERVERS == stream::kMaxObservers);
 static_assert(FORMFIELD_NO_SLOT == kNoSlot && FORMFIELD_MAX_SLOTS == kMaxSlots);
 
 struct CpuDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const formats::World&, const SolverChoice& choice) override {
+  Result<WorldSolver> makeSolver(const formats::World&, const SolverChoice& choice, uint32_t) override {
     if (choice.kind == SolverKind::kGather) return WorldSolver{makeCpuGather(threads)};
     MultibounceSettings dense;
     dense.places = choice.places;
@@ -75,14 +75,14 @@ Result<void> giveReport(const Report& report, Report* out) {
 }
 
 Result<void> check(const FormfieldWorldSettings& s) {
-  if (s.max_nodes == 0 || s.max_nodes > kMaxSlots) return usageError("max_nodes", "is not between 1 and 65536");
+  if (s.max_nodes == 0 || s.max_nodes > kMaxSlots) return usageError("max_nodes", "is not between 1 and " + std::to_string(kMaxSlots));
   if (s.iterations > 1000) return usageError("iterations", "are more than 1000 a frame", "2 to 8 are usual");
   if (s.decode_threads > 64) return usageError("decode_threads", "are more than 64", "1 is usual");
   if (s.probes > 0 && (s.probe_rays == 0 || s.probe_rays > 65535))
     return usageError("probe_rays", "are not between 1 and 65535", "256 is a good value");
   if (s.solver > FORMFIELD_SOLVER_SEED) return usageError("solver", "is none that this version knows");
-  if (s.dense_places == 0 || s.dense_places > kMaxSlots)
-    return usageError("dense_places", "are not between 1 and 65536", "4096 take 100 MiB in 16 bits");
+  if (s.dense_places == 0 || s.dense_places > kMaxPlaces)
+    return usageError("dense_places", "are not between 1 and " + std::to_string(kMaxPlaces), "4096 take 100 MiB in 16 bits");
   if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "8 is a good value");
   if (s.logged_frames > (1u << 20)) return usageError("logged_frames", "are more than a million");
   if (!(s.reload_seconds >= 0 && s.reload_seconds <= 1e6f)) return usageError("reload_seconds", "is not between 0 and 1e6", "1 is a good value, 0 turns it off");
@@ -163,13 +163,13 @@ Result<void> FormfieldWorld_T::open() {
   auto opened = openGeneration(choice);
   if (!opened) return opened.error();
   shown = std::move(*opened);
-  auto made = device.makeSolver(world(), choice);
+  auto made = device.makeSolver(world(), choice, slotsFor(settings.max_nodes));
   if (!made && settings.solver == FORMFIELD_SOLVER_AUTO && choice.kind != SolverKind::kGather) {
     // What was recommended on another device may exceed this one.
     choice.kind = SolverKind::kGather;
     choice.iterations = 2;
     choice.why = "gather: " + made.error().line();
-    made = device.makeSolver(world(), choice);
+    made = device.makeSolver(world(), choice, slotsFor(settings.max_nodes));
   }
   if (!made) return made.error();
   solver = std::move(*made);
@@ -356,7 +356,7 @@ Result<void> FormfieldWorld_T::chooseByMatrix() {
   better.storage = settings.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
   if (better.kind == SolverKind::kGather) better.iterations = choice.iterations;
   if (better.kind != choice.kind) {
-    auto made = device.makeSolver(world(), better);
+    auto made = device.makeSolver(world(), better, slotsFor(settings.max_nodes));
     if (!made) return made.error();
     radiosity.resize(updater().matrix().slots());
     if (auto read = updater().reflected(radiosity); !read) return read;

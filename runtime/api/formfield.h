@@ -33,7 +33,7 @@ extern "C" {
 #endif
 
 #define FORMFIELD_NO_SLOT 0xffffffffu
-#define FORMFIELD_MAX_SLOTS 65536u
+#define FORMFIELD_MAX_SLOTS 262144u
 
 typedef enum FormfieldResult {
   FORMFIELD_OK = 0,

@@ -47,7 +47,7 @@ struct WorldSolver {
 struct FormfieldDevice_T {
   virtual ~FormfieldDevice_T() = default;
   virtual ff::Result<ff::runtime::WorldSolver> makeSolver(const ff::formats::World& world,
-                                                          const ff::runtime::SolverChoice& choice) = 0;
+                                                          const ff::runtime::SolverChoice& choice, uint32_t max_slots) = 0;
   // Whether worlds here are meant to record frames, and what can: `auto` then takes nothing else.
   bool records() const { return records(ff::runtime::SolverKind::kGather); }
   virtual bool records(ff::runtime::SolverKind) const { return false; }
@@ -185,7 +185,7 @@ inline FormfieldObserver observerOf(const double at[3], const float velocity[3])
   return observer;
 }
 
-inline Error usageError(const char* place, const char* message, const char* remedy = "") {
+inline Error usageError(const char* place, std::string message, const char* remedy = "") {
   return {ErrorCode::kUsage, "", place, message, remedy};
 }
 

@@ -18,11 +18,11 @@ using namespace ff::runtime;
 // One world's frames in the caller's command buffers, and their light on its way back.
 class VulkanRecording final : public Recording {
  public:
-  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames) {
-    auto buffer = Buffer::create(context, uint64_t{frames} * kMaxSlots * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames, uint32_t slots) {
+    auto buffer = Buffer::create(context, uint64_t{frames} * slots * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                                  MemoryUse::kHost);
     if (!buffer) return buffer.error();
-    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames));
+    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames, slots));
   }
 
   Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, const stream::Observers& observers) {
@@ -67,12 +67,12 @@ class VulkanRecording final : public Recording {
     uint64_t record = 0;
     uint32_t slots = 0;  // 0: nothing was recorded there
   };
-  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames)
-      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(kMaxSlots) {
-    reflected_.reserve(kMaxSlots);
+  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames, uint32_t slots)
+      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(slots) {
+    reflected_.reserve(slots);
   }
 
-  uint64_t offset() const { return records_ % regions_.size() * kMaxSlots * sizeof(Vec4); }
+  uint64_t offset() const { return records_ % regions_.size() * entered_.size() * sizeof(Vec4); }
 
   // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now. Records from before
   // slots were given out anew say nothing of these: until younger ones arrive they stay as they were carried over.
@@ -123,18 +123,18 @@ VulkanRecording* recordingOf(FormfieldWorld world) {
 }
 
 struct VulkanDevice final : FormfieldDevice_T {
-  Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice) override {
+  Result<WorldSolver> makeSolver(const formats::World& world, const SolverChoice& choice, uint32_t max_slots) override {
     MultibounceSettings dense;
     dense.places = choice.places;
     dense.storage = choice.storage;
     dense.luminance = choice.luminance;
     if (records(choice.kind)) {
-      VulkanGatherSettings room = gatherRoomFor(world);
+      VulkanGatherSettings room = gatherRoomFor(world, max_slots);
       room.frames_in_flight = frames_in_flight;
       auto recorder = choice.kind == SolverKind::kGather ? makeVulkanRecorder(context, room)
                                                          : makeVulkanDenseRecorder(context, room, dense);
       if (!recorder) return withoutDevice(recorder.error());
-      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight);
+      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight, room.slots);
       if (!recording) return withoutDevice(recording.error());
       const DenseStats* const known = (*recorder)->dense();
       auto solver = withFallback(std::move(*recorder), known);

@@ -28,8 +28,9 @@ class CutCompanion {
 class CutBuilder {
  public:
   // World and companion must outlive it. background: there is a thread; where the system has none, as without. packs: it writes changes for a device, too
-  // (MatrixChange::packed). now: the time that latencySeconds() counts by.
-  CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr, bool packs = false, stream::Now now = std::chrono::steady_clock::now);
+  // (MatrixChange::packed). now: the time that latencySeconds() counts by. max_slots: as MatrixAssembler.
+  CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr, bool packs = false, stream::Now now = std::chrono::steady_clock::now,
+             uint32_t max_slots = kMaxSlots);
   ~CutBuilder();
 
   // Stays where it is; changes with next() only.

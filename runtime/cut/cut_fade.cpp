@@ -25,7 +25,8 @@ constexpr float kEase = 0.25f;   // the way in which light follows
 
 }  // namespace
 
-CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()), ease_frames_(settings.frames) {
+CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m, uint32_t max_slots)
+    : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()), max_slots_(max_slots), ease_frames_(settings.frames) {
   for (auto* strips : {&cut_, &next_cut_}) strips->reserve(kMaxTiles);
   if (settings.frames == 0) return;
   for (auto* tiles : {&tiles_, &tiles_before_}) tiles->reserve(kMaxTiles);
@@ -128,7 +129,7 @@ void CutFade::listLeaving() {
 void CutFade::keepTheMost() {
   size_t active = 0;
   for (const Known& known : active_) active += known.nodes;
-  const size_t slots = kMaxSlots - kMaxSlots / 16;  // so that a tile that enters finds consecutive ones
+  const size_t slots = max_slots_ - max_slots_ / 16;  // so that a tile that enters finds consecutive ones
   const size_t room = std::min<size_t>(settings_.max_nodes, active < slots ? slots - active : 0);
   size_t nodes = 0;
   order_.clear();

@@ -20,8 +20,8 @@ struct FadeSettings {
 // One thread calls. Nothing takes memory after the start.
 class CutFade {
  public:
-  // radii_m: within which tiles are wanted, by level (Streamer::radii()).
-  CutFade(const FadeSettings& settings, std::span<const float> radii_m);
+  // radii_m: within which tiles are wanted, by level (Streamer::radii()). max_slots: of the matrix.
+  CutFade(const FadeSettings& settings, std::span<const float> radii_m, uint32_t max_slots = kMaxSlots);
 
   // A frame begins. So long before observers are near a tile it has to be in the cut, s, to show its own light by then.
   float begin(const stream::Observers& observers, float frame_seconds);
@@ -70,6 +70,7 @@ class CutFade {
 
   const FadeSettings settings_;
   const std::vector<float> radii_m_;
+  const uint32_t max_slots_;
   uint32_t ease_frames_;           // by the observers' way
   bool came_late_ = false;         // a tile of the last follow()
   std::vector<Tile> tiles_, tiles_before_;  // of the matrix

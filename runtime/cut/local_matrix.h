@@ -7,11 +7,13 @@
 // the slot of its nearest active ancestor. So strips are never rewritten when the cut changes; and but for the numbers
 // of its slots the matrix is a function of the cut alone.
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "formats/read/reader.h"
+#include "shaders/shared.h"
 #include "stream/resident_strip.h"
 
 namespace ff::runtime {
@@ -40,7 +42,13 @@ inline Vec4 onAlbedo(const Vec4& parent, const Vec4& parent_albedo, const Vec4& 
 inline constexpr uint32_t kNoSlot = 0xffffffffu;
 inline constexpr uint32_t kRowPadding = 8;    // entries: what a vector loop takes at once
 inline constexpr uint32_t kPartEntries = 16384;  // of a part handed to a thread: some 10 us, fine enough to share out evenly
-inline constexpr uint32_t kMaxSlots = 65536;  // a packed entry has 16 bits of column
+
+// An entry of a row: the slot of its column, and how many of the row's samples fall there.
+inline constexpr uint32_t kMaxSlots = 1u << (32 - shaders::kCountBits);
+static_assert(formats::kMaxQuanta <= shaders::kCountMask);
+constexpr uint32_t packEntry(uint32_t slot, uint32_t count) { return slot << shaders::kCountBits | count; }
+constexpr uint32_t slotOfEntry(uint32_t entry) { return entry >> shaders::kCountBits; }
+constexpr uint32_t countOfEntry(uint32_t entry) { return entry & shaders::kCountMask; }
 
 struct SlotRange {
   formats::TileId id;
@@ -60,7 +68,7 @@ struct LocalMatrix {
   std::vector<SlotRange>
       tiles;  // sorted by (level, tile); their slots are consecutive within a tile, in any order of tiles
   // Per slot; free slots are neither leaf nor refined and have empty rows.
-  // A row is entries[row_start[s] .. + row_entries[s]): column slot << 16 | count, F = count * row_scale[s]. Its columns
+  // A row is entries[row_start[s] .. + row_entries[s]): F = countOfEntry() * row_scale[s]. Its columns
   // are in the order of their nodes; a coarse one may come several times, for other nodes that it stands for.
   // Only leaves have any. A row begins at a multiple of kRowPadding and is filled up to one with entries of count 0.
   std::vector<uint32_t> row_start, row_entries;
@@ -106,8 +114,8 @@ struct LocalMatrix {
   uint32_t slotOf(uint32_t level, uint64_t node) const { return runtime::slotOf(tiles, level, node); }
 };
 
-// Slots that any cut of a world can take.
-uint32_t mostSlots(const formats::World& world);
+// Slots for cuts of at most so many wanted nodes (stream::StreamSettings::max_nodes): an eighth is for what fades, and so that what enters finds consecutive ones.
+constexpr uint32_t slotsFor(uint32_t max_nodes) { return static_cast<uint32_t>(std::min(uint64_t{max_nodes} * 8 / 7, uint64_t{kMaxSlots})); }
 
 // Touches memory for so many values, so that no frame has the system find its pages, some microseconds for each.
 template <class T>

@@ -15,15 +15,18 @@ constexpr size_t kTilesAtFirst = 4096;
 constexpr size_t kMaxRowEntries = formats::kMaxQuanta;  // an entry has a count of 1 or more, a row at most Q
 constexpr uint64_t kEntryAlignment = 16;                // a tile's rows start on a cache line
 
+uint64_t nodesOf(const formats::World& world) {
+  uint64_t nodes = 0;
+  for (const formats::LevelInfo& level : world.levels()) nodes += level.nodes;
+  return nodes;
+}
+
 // Entries that the largest cut may need: its slots' share of the world's, half as much again for fragmentation.
-uint64_t entryCapacity(const formats::World& world) {
-  uint64_t nodes = 0, entries = 0;
-  for (const formats::LevelInfo& level : world.levels()) {
-    nodes += level.nodes;
-    entries += level.entries;
-  }
-  const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots);
-  return (entries / std::max<uint64_t>(nodes, 1) + kRowPadding) * in_cut * 3 / 2 + kEntryAlignment * kTilesAtFirst;
+uint64_t entryCapacity(const formats::World& world, uint32_t max_slots) {
+  const uint64_t nodes = nodesOf(world);
+  uint64_t entries = 0;
+  for (const formats::LevelInfo& level : world.levels()) entries += level.entries;
+  return (entries / std::max<uint64_t>(nodes, 1) + kRowPadding) * std::min<uint64_t>(nodes, max_slots) * 3 / 2 + kEntryAlignment * kTilesAtFirst;
 }
 
 // A tile has 256 rows and shares most of their partners among them.
@@ -49,12 +52,12 @@ uint32_t ambientOf(FarLight far_light) { return far_light == FarLight::kConstant
 // Resolves one run (resident_strip.h) into `out`; returns the number of entries. Most columns that resolve to one slot are
 // neighbours, as nodes of a tile with one ancestor are: so merging looks one back. Without a branch on that:
 // most neighbours far away share a slot, but by no rule that a processor could learn. Over runs nothing is merged.
-uint32_t resolveRun(const uint16_t* words, uint32_t n, const uint16_t* page, uint32_t* out) {
+uint32_t resolveRun(const uint16_t* words, uint32_t n, const PageTable::Page& page, uint32_t* out) {
   uint32_t last = kNoSlot, sum = 0, entries = 0;
   for (uint32_t k = 0; k < n; ++k) {
-    const uint32_t slot = page[words[k] >> 8], count = words[k] & 0xffu;
+    const uint32_t slot = page.slot(words[k] >> 8), count = words[k] & 0xffu;
     const uint32_t differs = slot != last, mask = 0u - differs;
-    sum = (sum & ~mask) + ((slot << 16) & mask) + count;
+    sum = (sum & ~mask) + (packEntry(slot, 0) & mask) + count;
     entries += differs;
     out[entries - 1] = sum;
     last = slot;
@@ -69,38 +72,39 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
       far_light_(far_light),
       max_slots_(max_slots),
       pages_(world, ambientOf(far_light)),
+      entry_capacity_(entryCapacity(world, max_slots)),
       slots_(max_slots),
-      entries_(entryCapacity(world)),
-      partners_(entryCapacity(world) / kEntriesAPartner),
-      runs_(entryCapacity(world)) {
+      entries_(entry_capacity_),
+      partners_(entry_capacity_ / kEntriesAPartner),
+      runs_(entry_capacity_) {
   tiles_.reserve(kTilesAtFirst);
   next_tiles_.reserve(kTilesAtFirst);
   kept_.reserve(kTilesAtFirst);
-  partner_pages_.reserve(entryCapacity(world) / kEntriesAPartner);
-  run_entries_.reserve(entryCapacity(world));
+  partner_pages_.reserve(entry_capacity_ / kEntriesAPartner);
+  run_entries_.reserve(entry_capacity_);
   columns_.reserve(kTilesAtFirst);
   scratch_.resize(kMaxRowEntries);
   change_.left.reserve(kTilesAtFirst);
   change_.entered.reserve(kTilesAtFirst);
   change_.rows.reserve(kTilesAtFirst);
   change_.pages.reserve(kTilesAtFirst);
-  new_leaves_.reserve(kMaxSlots);
+  new_leaves_.reserve(max_slots);
   LocalMatrix& m = matrix_;
   m.tiles.reserve(kTilesAtFirst);
   m.packed.reserve(kTilesAtFirst);
   m.pages = &pages_;
-  m.entries.reserve(entryCapacity(world));
-  m.most_slots = mostSlots(world);
-  m.leaves.reserve(kMaxSlots);
-  m.leaf_parts.reserve(kMaxSlots + 1);
-  m.refined.reserve(kMaxSlots);
+  m.entries.reserve(entry_capacity_);
+  m.most_slots = static_cast<uint32_t>(std::min<uint64_t>(nodesOf(world) + 1, max_slots));  // one is FarLight::kConstant's
+  m.leaves.reserve(max_slots);
+  m.leaf_parts.reserve(max_slots + 1);
+  m.refined.reserve(max_slots);
   m.refined_level_start.reserve(formats::kMaxLevels + 1);
-  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot, &m.next_sibling}) per_slot->reserve(kMaxSlots);
-  m.row_scale.reserve(kMaxSlots);
-  m.area_m2.reserve(kMaxSlots);
-  m.albedo.reserve(kMaxSlots);
-  m.leaf.reserve(kMaxSlots);
-  m.child_weight.reserve(kMaxSlots);
+  for (auto* per_slot : {&m.row_start, &m.row_entries, &m.parent_slot, &m.next_sibling}) per_slot->reserve(max_slots);
+  m.row_scale.reserve(max_slots);
+  m.area_m2.reserve(max_slots);
+  m.albedo.reserve(max_slots);
+  m.leaf.reserve(max_slots);
+  m.child_weight.reserve(max_slots);
   renumber();
   listLeavesAndRefined();
 }
@@ -367,9 +371,9 @@ void MatrixAssembler::renumber() {
     runs += rangeOf(tile.strip->runs);
   }
   slots_ = RangeAllocator(max_slots_);
-  entries_ = RangeAllocator(std::max(entryCapacity(world_), 2 * room));
-  partners_ = RangeAllocator(std::max(entryCapacity(world_) / kEntriesAPartner, 2 * partners));
-  runs_ = RangeAllocator(std::max(entryCapacity(world_), 2 * runs));
+  entries_ = RangeAllocator(std::max(entry_capacity_, 2 * room));
+  partners_ = RangeAllocator(std::max(entry_capacity_ / kEntriesAPartner, 2 * partners));
+  runs_ = RangeAllocator(std::max(entry_capacity_, 2 * runs));
   if (far_light_ == FarLight::kConstant) {
     m.ambient_slot = static_cast<uint32_t>(*slots_.allocate(1, 1));
     m.row_start.push_back(0);
@@ -409,7 +413,7 @@ uint32_t MatrixAssembler::resolveRuns(const Tile& tile, uint32_t first, uint32_t
   uint32_t entries = 0;
   for (uint32_t r = first; r < end; ++r) {
     const ResidentStrip::Run run = strip.runs[r];
-    const uint32_t n = resolveRun(strip.words.data() + word, run.words, columns_[run.partner].page, out + entries);
+    const uint32_t n = resolveRun(strip.words.data() + word, run.words, *columns_[run.partner].page, out + entries);
     run_entries_[tile.first_run + r] = static_cast<uint16_t>(n);
     entries += n;
     word += run.words;
@@ -471,7 +475,7 @@ void MatrixAssembler::resolveRows() {
     const std::span<const uint32_t> partners = partnerPages(tile);
     for (size_t p = 0; p < partners.size(); ++p) {
       const uint32_t page = partners[p];
-      columns_.push_back({pages_.page(page).data(), pages_.changed(page)});
+      columns_.push_back({&pages_.page(page), pages_.changed(page)});
       if (columns_[p].changed) changed |= uint64_t{1} << p % 64;
     }
     if (!tile.entered && changed == 0 && (new_leaf == new_leaves_.end() || *new_leaf >= end)) continue;
@@ -514,12 +518,6 @@ void MatrixAssembler::listLeavesAndRefined() {
   m.refined_level_start.push_back(static_cast<uint32_t>(m.refined.size()));
   weighChildren(m);
   divideLeaves(m);
-}
-
-uint32_t mostSlots(const formats::World& world) {
-  uint64_t nodes = 1;  // FarLight::kConstant's
-  for (const formats::LevelInfo& level : world.levels()) nodes += level.nodes;
-  return static_cast<uint32_t>(std::min<uint64_t>(nodes, kMaxSlots));
 }
 
 Result<LocalMatrix> buildLocalMatrix(const formats::World& world, std::span<const StripPtr> active,

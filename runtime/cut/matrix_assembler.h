@@ -16,14 +16,14 @@ namespace ff::runtime {
 
 class MatrixAssembler {
  public:
-  // The world must outlive the assembler. max_slots: fewer are for tests.
+  // The world must outlive the assembler. max_slots: up to kMaxSlots; memory is taken for so many, or for all of the world.
   explicit MatrixAssembler(const formats::World& world, FarLight far_light = FarLight::kPyramid, uint32_t max_slots = kMaxSlots);
   MatrixAssembler(const MatrixAssembler&) = delete;
   MatrixAssembler& operator=(const MatrixAssembler&) = delete;
 
   // Brings the matrix to the cut `active` (sorted, as Streamer::active()) and holds its strips. The same cut again
   // changes nothing. fading: tiles of it, sorted, that need not be there: where one that enters finds no consecutive slots, as many as it takes go at once, those that show least first,
-  // rather than that all slots are given out anew; and what is not in the matrix does not enter. Errors (kUsage), matrix unchanged: more than kMaxSlots nodes; not a cut (a top-level tile is
+  // rather than that all slots are given out anew; and what is not in the matrix does not enter. Errors (kUsage), matrix unchanged: more than max_slots nodes; not a cut (a top-level tile is
   // missing). A tile without its parent tile stands alone (local_matrix.h); where that comes or goes the tile enters anew.
   Result<void> update(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
 
@@ -86,6 +86,7 @@ class MatrixAssembler {
   PackedChange packed_;
   bool renumber_next_ = false;
   PageTable pages_;
+  const uint64_t entry_capacity_;
   RangeAllocator slots_, entries_, partners_, runs_;
   std::vector<Tile> tiles_, next_tiles_;
   std::span<const FadingTile> fading_;  // of the update under way
@@ -94,7 +95,7 @@ class MatrixAssembler {
   std::vector<uint16_t> run_entries_;    // of a tile: by run, entries that it takes in its row
   std::vector<uint32_t> new_leaves_;  // slots
   struct Column {                     // of a partner tile, for the tile being resolved
-    const uint16_t* page;
+    const PageTable::Page* page;
     bool changed;
   };
   std::vector<Column> columns_;

@@ -6,7 +6,7 @@
 namespace ff::runtime {
 namespace {
 
-constexpr size_t kPagesAtFirst = 8192;  // 4 MiB; or those of the whole world
+constexpr size_t kPagesAtFirst = 8192;  // 2 MiB; or those of the whole world
 
 }  // namespace
 
@@ -90,11 +90,13 @@ std::span<const uint32_t> PageTable::refresh() {
 void PageTable::fill(const Info& info, Page& page) {
   const uint32_t own = info.id.tile - info.chunk->firstTile(), nodes = info.chunk->tiles[own].nodes;
   if (const uint32_t first = activeSlot(info.id); first != kNoSlot) {
-    for (uint32_t i = 0; i < nodes; ++i) page[i] = static_cast<uint16_t>(first + i);
+    page.first_slot = first;
+    for (uint32_t i = 0; i < nodes; ++i) page.index[i] = static_cast<uint8_t>(i);
     return;
   }
   if (outside_ != kNoSlot) {
-    page.fill(static_cast<uint16_t>(outside_));
+    page.first_slot = outside_;
+    page.index.fill(0);
     return;
   }
   // The ancestors of all of the tile's nodes lie in one tile a level: the lowest active one has their slots.
@@ -109,13 +111,14 @@ void PageTable::fill(const Info& info, Page& page) {
   }
   if (slots == kNoSlot) {
     incomplete_ = true;
-    page.fill(0);
+    page = {};
     return;
   }
+  page.first_slot = slots;
   for (uint32_t i = 0; i < nodes; ++i) {
     uint32_t index = i;
     for (uint32_t step = 0; step < steps; ++step) index = up[step][index];
-    page[i] = static_cast<uint16_t>(slots + index);
+    page.index[i] = static_cast<uint8_t>(index);
   }
 }
 

@@ -15,7 +15,13 @@ namespace ff::runtime {
 
 class PageTable {
  public:
-  using Page = std::array<uint16_t, formats::kTileNodes>;
+  // Shared with devices, word for word (shaders::kPageWords).
+  struct Page {
+    uint32_t first_slot = 0;
+    std::array<uint8_t, formats::kTileNodes> index{};  // column i has slot first_slot + index[i]: whatever stands for a tile's nodes is one tile, too
+    uint32_t slot(uint32_t column) const { return first_slot + index[column]; }
+    bool operator==(const Page&) const = default;
+  };
 
   // outside: the slot of everything in inactive tiles; kNoSlot: the nearest active ancestor.
   explicit PageTable(const formats::World& world, uint32_t outside = kNoSlot);

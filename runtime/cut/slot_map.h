@@ -13,10 +13,11 @@ namespace ff::runtime {
 // One thread. No call allocates after construction.
 class SlotMap {
  public:
-  SlotMap() : tile_of_slot_(kMaxSlots, kNone) {
-    tiles_.reserve(kMaxSlots);
-    first_slot_.reserve(kMaxSlots);
+  explicit SlotMap(uint32_t max_slots = kMaxSlots) : tile_of_slot_(max_slots, kNone) {
+    tiles_.reserve(max_slots);
+    first_slot_.reserve(max_slots);
   }
+  uint32_t maxSlots() const { return static_cast<uint32_t>(tile_of_slot_.size()); }
 
   void follow(std::span<const SlotRange> tiles) {
     for (const SlotRange& old : tiles_) {
@@ -33,7 +34,7 @@ class SlotMap {
   std::span<const SlotRange> tiles() const { return tiles_; }
   // The active tile that holds a slot; null: none.
   const SlotRange* tileOf(uint32_t slot) const {
-    return slot < kMaxSlots && tile_of_slot_[slot] != kNone ? &tiles_[tile_of_slot_[slot]] : nullptr;
+    return slot < tile_of_slot_.size() && tile_of_slot_[slot] != kNone ? &tiles_[tile_of_slot_[slot]] : nullptr;
   }
   // Slot of node number `index` of a tile: its own, else its nearest active ancestor's; kNoSlot: it has none.
   uint32_t slotOf(const formats::TileRef& tile, uint32_t index) const {

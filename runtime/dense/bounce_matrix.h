@@ -13,6 +13,7 @@
 
 namespace ff::runtime {
 
+inline constexpr uint32_t kMaxPlaces = 65536;
 inline constexpr uint32_t kMaxBlock = 64;  // nodes that enter or leave in one step, at most
 
 enum class Storage { kFloat32, kFloat16 };  // of the matrix; sums are always fp32

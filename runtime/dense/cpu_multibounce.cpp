@@ -156,7 +156,7 @@ class CpuMultibounce final : public BounceMatrix {
 
   // Light is exact with factors pending, but not as fast.
   void foldUnlessSliced() {
-    if (!settings_.time_slice) planes_.fold(kMaxSlots);
+    if (!settings_.time_slice) planes_.fold(kMaxPlaces);
   }
 
   void take(const EnteringBlock& block) {

@@ -59,8 +59,8 @@ void EnteringBlocks::collect(std::span<const uint32_t> entering, std::span<const
     const bool enters = number_[i] != kNone;
     if (!enters && place_of_slot[i] == kNoPlace) continue;
     for (const uint32_t entry : m.row(i))
-      if (const uint32_t count = entry & 0xffff; count > 0)
-        spread(entry >> 16, static_cast<float>(count) * m.row_scale[i], enters);
+      if (const uint32_t count = countOfEntry(entry); count > 0)
+        spread(slotOfEntry(entry), static_cast<float>(count) * m.row_scale[i], enters);
     for (const uint32_t j : met_) {
       if (enters) rows_.push_back({j, sum_[j]});
       if (number_[j] != kNone) columns_met_.push_back({number_[j], i, sum_[j]});

@@ -67,8 +67,8 @@ inline Result<void> checkFormFactors(const EnteringBlock& block) {
 
 // Errors (kUsage): a number of places that no matrix has.
 inline Result<void> checkPlaces(uint32_t places) {
-  if (places > 0 && places <= kMaxSlots) return {};
-  return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxSlots) + " places", ""};
+  if (places > 0 && places <= kMaxPlaces) return {};
+  return Error{ErrorCode::kUsage, "", "", "a dense matrix has 1 to " + std::to_string(kMaxPlaces) + " places", ""};
 }
 inline Error tooLittleMemory(uint32_t places, std::string remedy) {
   return Error{ErrorCode::kUsage, "", "", "not enough memory for a matrix of " + std::to_string(places) + " places",

@@ -11,9 +11,13 @@ constexpr uint32_t kPartLeaves = 256;  // of a part handed to a thread
 
 SparseRows::SparseRows(int threads) : pool_(threads) {
   if (const GatherKernel fast = gatherAvx2()) kernel_ = fast;
+  white_.reserve(kMaxSlots);
 }
 
-void SparseRows::takeUp(const LocalMatrix& matrix) { matrix_ = &matrix; }
+void SparseRows::takeUp(const LocalMatrix& matrix) {
+  matrix_ = &matrix;
+  if (const size_t most = std::max(matrix.slots(), matrix.most_slots); white_.size() < most) white_.resize(most, {1, 1, 1, 0});
+}
 
 void SparseRows::gather(std::span<const uint32_t> leaves, std::span<const Vec4> from, std::span<const Vec4> minus,
                         std::span<Vec4> to) {

@@ -30,7 +30,7 @@ class SparseRows {
   WorkerPool pool_;
   GatherKernel kernel_ = gatherPortable;
   const LocalMatrix* matrix_ = nullptr;
-  const std::vector<Vec4> white_ = std::vector<Vec4>(kMaxSlots, {1, 1, 1, 0});  // per slot: F is asked without albedo
+  std::vector<Vec4> white_;  // per slot: F is asked without albedo
 };
 
 }  // namespace ff::runtime

@@ -17,12 +17,12 @@ bool gatherPortable(const GatherJob& job, uint32_t begin, uint32_t end) {
     const uint32_t last = k + job.row_entries[slot];
     for (; k + 2 <= last; k += 2) {
       const uint32_t a = job.entries[k], b = job.entries[k + 1];
-      even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
-      odd += asFloat4(job.from[b >> 16]) * static_cast<float>(b & 0xffff);
+      even += asFloat4(job.from[slotOfEntry(a)]) * static_cast<float>(countOfEntry(a));
+      odd += asFloat4(job.from[slotOfEntry(b)]) * static_cast<float>(countOfEntry(b));
     }
     if (k < last) {
       const uint32_t a = job.entries[k];
-      even += asFloat4(job.from[a >> 16]) * static_cast<float>(a & 0xffff);
+      even += asFloat4(job.from[slotOfEntry(a)]) * static_cast<float>(countOfEntry(a));
     }
     asFloat4(job.to[slot]) = asFloat4(job.source[slot]) + asFloat4(job.albedo[slot]) * job.row_scale[slot] * (even + odd);
     sound &= isSound(job.to[slot]);
@@ -43,14 +43,14 @@ namespace {
 
 // Radiosity of the columns of two entries, side by side.
 __attribute__((target("avx2,fma"))) inline __m256 loadPair(const Vec4* from, uint32_t a, uint32_t b) {
-  const __m128 low = _mm_loadu_ps(&from[a >> 16].x);
-  return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[b >> 16].x), 1);
+  const __m128 low = _mm_loadu_ps(&from[slotOfEntry(a)].x);
+  return _mm256_insertf128_ps(_mm256_castps128_ps256(low), _mm_loadu_ps(&from[slotOfEntry(b)].x), 1);
 }
 
 __attribute__((target("avx2,fma"))) bool gatherRowsAvx2(const GatherJob& job, uint32_t begin, uint32_t end) {
   const __m128 sign = _mm_set1_ps(-0.0f), most = _mm_set1_ps(shaders::kMaxRadiosity);
   __m128 sound = _mm_cmpeq_ps(most, most);
-  const __m256i count_mask = _mm256_set1_epi32(0xffff);
+  const __m256i count_mask = _mm256_set1_epi32(shaders::kCountMask);
   const Vec4* const from = job.from;
   for (uint32_t i = begin; i < end; ++i) {
     const uint32_t slot = job.leaves[i];

@@ -139,9 +139,9 @@ void GatherLayout::packByHand(const LocalMatrix& matrix) {
     strip.run_start = strip.row_start = {0};
     for (uint32_t slot = first; slot < end; ++slot) {
       for (const uint32_t entry : matrix.row(slot)) {
-        const uint32_t column = entry >> 16;
+        const uint32_t column = slotOfEntry(entry);
         uint32_t words = 0;
-        for (uint32_t left = entry & 0xffff; left > 0; ++words) {
+        for (uint32_t left = countOfEntry(entry); left > 0; ++words) {
           const uint32_t count = std::min(left, 255u);
           strip.words.push_back(static_cast<uint16_t>(column % formats::kTileNodes << 8 | count));
           left -= count;

@@ -2,6 +2,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 #include <string>
 #include <utility>
 #include <vector>
@@ -33,7 +34,7 @@ namespace {
 constexpr uint32_t kMaxTiles = 16383;    // 4 work groups each, of the 65535 that any device takes
 constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driver's watchdog
 constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
-constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageNodes * sizeof(uint16_t);
+constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageWords * sizeof(uint32_t);
 static_assert(kPageBytes == sizeof(PageTable::Page));
 
 VkDescriptorBufferInfo whole(const Buffer& b) { return {b.handle(), 0, VK_WHOLE_SIZE}; }
@@ -115,6 +116,7 @@ class VulkanGather final : public VulkanRecorder {
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
   void readTime(uint32_t frame, bool wait);
   uint32_t rowsPerGroup() const { return std::max(1u, shaders::kGatherGroup / std::max(1u, context_->subgroupSize())); }
+  uint32_t gatherGroups() const { return std::min(groupsOf(slots_, rowsPerGroup()), context_->limits().maxComputeWorkGroupCount[0]); }  // each goes on where the last one ends
   void forgetStaged();
   void letGo();
 
@@ -182,7 +184,7 @@ Result<void> VulkanGather::start() {
   if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
       settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMaxTiles)
     return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
-                 "give at least " + std::to_string(align) + " bytes, 1 to 65536 slots, 1 to 16383 tiles and 1 frame"};
+                 "give at least " + std::to_string(align) + " bytes, 1 to 262144 slots, 1 to 16383 tiles and 1 frame"};
   segments_ = static_cast<uint32_t>(groupsOf(settings_.entry_bytes, segment_bytes_));
   if (settings_.packed_bytes > range || settings_.pages * kPageBytes > range)
     return Error{ErrorCode::kUsage, "", "vulkan",
@@ -433,8 +435,9 @@ Result<void> VulkanGather::stagePages(const LocalMatrix& m, const MatrixChange& 
     const uint32_t pages = groupsOf(m.slots(), shaders::kPageNodes);
     if (pages > settings_.pages) return tooSmall("more pages than room was made for");
     for (uint32_t p = 0; p < pages; ++p) {
-      auto* const page = reinterpret_cast<uint16_t*>(stage(pages_, p * kPageBytes, kPageBytes, copies_to_pages_));
-      for (uint32_t i = 0; i < shaders::kPageNodes; ++i) page[i] = static_cast<uint16_t>(p * shaders::kPageNodes + i);
+      PageTable::Page page{p * shaders::kPageNodes, {}};
+      std::iota(page.index.begin(), page.index.end(), uint8_t{0});
+      std::memcpy(stage(pages_, p * kPageBytes, kPageBytes, copies_to_pages_), &page, kPageBytes);
     }
     return {};
   }
@@ -635,7 +638,7 @@ void VulkanGather::recordChange(VkCommandBuffer c) {
 void VulkanGather::recordHold(VkCommandBuffer c) {
   for (uint32_t s = 0; s < segments_; ++s) {
     const shaders::GatherPush push{slots_, s, 1, ease_frames_};
-    hold_.dispatch(c, hold_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+    hold_.dispatch(c, hold_sets_[now_][s], &push, gatherGroups());
   }
   separate(c);
   to_hold_ = false;
@@ -646,7 +649,7 @@ void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
   for (uint32_t s = 0; s < segments_; ++s) {  // segments write different slots: no barrier between them
     const shaders::GatherPush push{slots_, s, omega, 0};
     const ComputePipeline& gather = omega == 1 ? gather_ : gather_further_;
-    gather.dispatch(c, gather_sets_[now_][s], &push, groupsOf(slots_, rowsPerGroup()));
+    gather.dispatch(c, gather_sets_[now_][s], &push, gatherGroups());
   }
   // The next step reads what this one wrote, the next iteration overwrites what this one read.
   separate(c);
@@ -834,14 +837,14 @@ Result<std::vector<uint32_t>> VulkanGather::row(uint32_t slot) {
 
 }  // namespace
 
-VulkanGatherSettings gatherRoomFor(const formats::World& world) {
+VulkanGatherSettings gatherRoomFor(const formats::World& world, uint32_t max_slots) {
   uint64_t nodes = 0, entries = 0, tiles = 0;
   for (uint32_t level = 0; level < world.levels().size(); ++level) {
     nodes += world.levels()[level].nodes;
     entries += world.levels()[level].entries;
     tiles += world.levels()[level].tiles;
   }
-  const uint64_t in_cut = std::min<uint64_t>(nodes, kMaxSlots), a_row = entries / std::max<uint64_t>(nodes, 1) + 1;
+  const uint64_t in_cut = std::min<uint64_t>(nodes, max_slots), a_row = entries / std::max<uint64_t>(nodes, 1) + 1;
   VulkanGatherSettings s;
   s.slots = static_cast<uint32_t>(in_cut);
   s.tiles = static_cast<uint32_t>(std::min<uint64_t>(tiles + 1, 4096));

@@ -15,7 +15,7 @@ namespace ff::runtime {
 // Room taken at the start; nothing is allocated afterwards. What does not fit is an error with cause kOutOfDeviceMemory
 // (a FallbackSolver then goes on with the CPU).
 struct VulkanGatherSettings {
-  uint32_t slots = kMaxSlots;
+  uint32_t slots = 65536;
   uint32_t tiles = 4096;                      // active at once
   uint32_t pages = 16384;                     // of the page table: tiles that active rows have columns in
   uint64_t packed_bytes = uint64_t{32} << 20;
@@ -25,8 +25,8 @@ struct VulkanGatherSettings {
   uint64_t max_binding_bytes = 0;
 };
 
-// Room for the largest cut of a world (kMaxSlots nodes, or all of it), half as much again for fragmentation.
-VulkanGatherSettings gatherRoomFor(const formats::World& world);
+// Room for cuts of a world of at most so many slots, half as much again for fragmentation.
+VulkanGatherSettings gatherRoomFor(const formats::World& world, uint32_t max_slots);
 
 // Every call waits for the device. The context lives as long as the solver. Errors: shaders refused, out of memory.
 Result<std::unique_ptr<Solver>> makeVulkanGather(std::shared_ptr<VkContext> context,

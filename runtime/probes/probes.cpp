@@ -65,20 +65,20 @@ Probes::Probes(const formats::World& world, const SlotMap& slots, const ProbeSet
     : world_(world),
       slots_(slots),
       settings_(settings),
-      tree_(world, kMaxSlots),
+      tree_(world, slots.maxSlots()),
       rays_(cosineRays(std::clamp(settings.rays, 1u, 65535u))),
-      tile_of_slot_(kMaxSlots, kFree),
-      hidden_(kMaxSlots),
-      seen_(kMaxSlots),
-      changed_(kMaxSlots),
+      tile_of_slot_(slots.maxSlots(), kFree),
+      hidden_(slots.maxSlots()),
+      seen_(slots.maxSlots()),
+      changed_(slots.maxSlots()),
       kept_((std::max(settings.max_kept, 1u) + kWays - 1) / kWays * kWays),
       max_places_(rays_.size() + settings.max_lamps),
-      lamp_of_slot_(kMaxSlots),
-      aim_of_slot_(kMaxSlots),
+      lamp_of_slot_(slots.maxSlots()),
+      aim_of_slot_(slots.maxSlots()),
       facets_(world, settings.facet_bytes) {
   places_.resize(kept_.size() * max_places_);
   met_.reserve(rays_.size() + size_t{settings.max_lamps} * settings.lamp_rays);
-  lamps_.reserve(kMaxSlots);
+  lamps_.reserve(slots.maxSlots());
   aims_.reserve(settings.max_lamps);
 }
 
@@ -92,7 +92,7 @@ void Probes::follow(const stream::Observers& observers, std::span<const ProbeTil
   ++state_;
   ++follows_;
   for (const ProbeTile& tile : tiles) enter(tile, leaf);
-  for (uint32_t slot = 0; slot < kMaxSlots; ++slot)
+  for (uint32_t slot = 0; slot < tile_of_slot_.size(); ++slot)
     if (tile_of_slot_[slot] != kFree && seen_[slot] != follows_) leave(slot);
 }
 
@@ -268,7 +268,7 @@ void Probes::castAtLamps(Vec3 point, Vec3 normal) {
         if (!(cosine > 0)) continue;
         const Met met = meet(RayLine(point, direction), static_cast<uint32_t>(rays_.size()) + first + k);
         if (met.slot == aim.lamp->slot && met.front && met.facet)
-          met_.push_back({static_cast<uint16_t>(met.slot), weight(aim, *met.facet, direction, cosine, met.distance_m, false)});
+          met_.push_back({met.slot, weight(aim, *met.facet, direction, cosine, met.distance_m, false)});
       }
     }
   }
@@ -295,7 +295,7 @@ void Probes::trace(size_t at, Vec3 point, Vec3 normal) {
     } else if (met.front && met.slot != kNoSlot) {
       const uint32_t aim = met.facet ? aim_of_slot_[met.slot] : 0;
       const float share = aim == 0 ? 1 / static_cast<float>(rays_.size()) : weight(aims_[aim - 1u], *met.facet, ray.direction, rays_[r].z, met.distance_m, true);
-      met_.push_back({static_cast<uint16_t>(met.slot), share});
+      met_.push_back({met.slot, share});
     }
   }
   castAtLamps(point, normal);

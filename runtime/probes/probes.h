@@ -73,7 +73,7 @@ class Probes {
     std::array<float, 5> sky_quadratics{};  // sum
   };
   struct Place {
-    uint16_t slot;
+    uint32_t slot;
     float weight;  // of its radiosity
   };
   // A patch that emits.

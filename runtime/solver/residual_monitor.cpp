@@ -21,8 +21,8 @@ double ResidualMonitor::look(const LocalMatrix& matrix, std::span<const Vec4> so
     const uint32_t slot = matrix.leaves[next_++ % leaves];
     double sum[3] = {0, 0, 0};
     for (const uint32_t entry : matrix.row(slot)) {
-      const Vec4& b = radiosity[entry >> 16];
-      const double count = entry & 0xffff;
+      const Vec4& b = radiosity[slotOfEntry(entry)];
+      const double count = countOfEntry(entry);
       sum[0] += count * static_cast<double>(b.x);
       sum[1] += count * static_cast<double>(b.y);
       sum[2] += count * static_cast<double>(b.z);

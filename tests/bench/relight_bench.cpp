@@ -77,7 +77,7 @@ EigenMs eigenMs(const LocalMatrix& m, int repeats) {
   std::vector<Eigen::Triplet<float>> entries;
   for (const uint32_t slot : m.leaves)
     for (const uint32_t entry : m.row(slot))
-      entries.emplace_back(slot, entry >> 16, static_cast<float>(entry & 0xffff) * m.row_scale[slot]);
+      entries.emplace_back(slot, slotOfEntry(entry), static_cast<float>(countOfEntry(entry)) * m.row_scale[slot]);
   Eigen::SparseMatrix<float, Eigen::RowMajor> f(m.slots(), m.slots());
   f.setFromTriplets(entries.begin(), entries.end());
   const auto time = [&]<class Dense>(Dense b) {
@@ -217,7 +217,7 @@ void runVulkan(const Options& options, const formats::WholeWorld& world, const N
   }
   const std::string device = deviceName(**context);
   const int repeats = options.quick ? 3 : 9;
-  const auto solver = solverAt(place, orExit(makeVulkanGather(*context, gatherRoomFor(world))));
+  const auto solver = solverAt(place, orExit(makeVulkanGather(*context, gatherRoomFor(world, slotsFor(stream::StreamSettings().max_nodes)))));
   std::vector<double> gather;
   for (int i = 0; i < repeats; ++i) {
     orExit(solver->iterate(1));

@@ -40,7 +40,7 @@ constexpr int kFramesAfterTheft = 30;  // that what the host has taken may still
 struct Options {
   std::string world, reader, path, replay, solver = "gather";
   uint64_t patches = 60000;
-  uint32_t max_patches = stream::StreamSettings().max_level0_nodes, places = 4096;
+  uint32_t max_patches = stream::StreamSettings().max_level0_nodes, max_nodes = stream::StreamSettings().max_nodes, places = 4096;
   uint32_t rays = 512;
   double seconds = 15;
   float height_m = 1.6f;
@@ -112,7 +112,7 @@ std::unique_ptr<runtime::Solver> makeSolver(const Options& options, const format
     return runtime::makeDenseSolver(orExit(runtime::makeCpuMultibounce(dense)));
   }
   static const std::shared_ptr<runtime::VkContext> context = orExit(runtime::openVulkan());
-  const runtime::VulkanGatherSettings room = runtime::gatherRoomFor(world);
+  const runtime::VulkanGatherSettings room = runtime::gatherRoomFor(world, runtime::slotsFor(options.max_nodes));
   return options.solver == "gather" ? orExit(runtime::makeVulkanRecorder(context, room)) : orExit(runtime::makeVulkanDenseRecorder(context, room, dense));
 }
 
@@ -213,7 +213,7 @@ std::string number(double x) {
 
 // What a path's passes came to.
 struct Flown {
-  std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms;
+  std::vector<double> frame_ms, frame_cpu_ms, stream_ms, matrix_ms, solver_update_cpu_ms, steps_ms, nodes, entries;
   std::vector<double> uploaded, uploaded_rows, uploaded_light;  // KiB a frame
   Counts near, far;
   double most_undisturbed_ms = 0;  // of frames in which the host took nothing
@@ -260,6 +260,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     settings.radius_m *= whole.info().cell_m;
     settings.read_bytes_per_second = options.bytes_per_second;
     settings.max_level0_nodes = options.max_patches;
+    settings.max_nodes = options.max_nodes;
     settings.background = !options.in_frame;
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
     TimedSolver solver(makeSolver(options, world));
@@ -327,6 +328,11 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
       const double frame_ms = msSince(began), frame_cpu_ms = threadMs() - cpu;
       const TimedSolver::Spent steps = solver.takeSteps(), update = solver.takeUpdate();
       flown.frame_ms.push_back(frame_ms - steps.wall_ms);
+      flown.steps_ms.push_back(steps.wall_ms);
+      uint64_t nodes = 0;
+      for (const SlotRange& range : updater.matrix().tiles) nodes += range.nodes;
+      flown.nodes.push_back(static_cast<double>(nodes));
+      flown.entries.push_back(static_cast<double>(updater.matrix().used_entries));
       if (const uint64_t now_stolen = stolenTicks(); now_stolen != stolen) {
         flown.stolen_ticks += now_stolen - std::exchange(stolen, now_stolen);
         stolen_at = f;
@@ -411,6 +417,10 @@ void report(const std::string& name, const FlightPath& path, Flown& flown) {
     print(metric, quantile(flown.frame_ms, share), "ms", limit,
           note + "; the frame's thread but for the solver's steps, on the clock; " + std::to_string(over_limit) + " frames took more than 1 ms; ms of a core's time " + cpu(share) + "; the cut changed in " + std::to_string(flown.changes) + " frames, by at most " + std::to_string(flown.most_applied) + " tiles; at most " + number(flown.most_undisturbed_ms) + " ms where the host of this machine took nothing",
           "cpu");
+  print("stream.nodes", quantile(flown.nodes, 0.5), "nodes", std::nan(""),
+        note + "; in the matrix, wanted or fading, median; at most " + number(quantile(flown.nodes, 1)) + "; entries " + number(quantile(flown.entries, 0.5)) + ", at most " + number(quantile(flown.entries, 1)) +
+            "; the solver's steps " + number(quantile(flown.steps_ms, 0.5)) + " ms a frame, 99 of a hundred below " + number(quantile(flown.steps_ms, 0.99)),
+        "cpu");
   if (quantile(flown.uploaded, 1) > 0)
     for (const auto& [metric, share] : {std::pair{"stream.uploaded_p50_kib", 0.5}, std::pair{"stream.uploaded_p99_kib", 0.99}, std::pair{"stream.uploaded_max_kib", 1.0}})
       print(metric, quantile(flown.uploaded, share), "KiB", std::nan(""),
@@ -521,6 +531,7 @@ int main(int argc, char** argv) {
   app.add_option("--places", options.places, "of multibounce's dense matrix")->check(CLI::Range(64, 65536))->capture_default_str();
   app.add_flag("--vulkan", options.vulkan, "on a Vulkan device, as an engine records it");
   app.add_option("--max-patches", options.max_patches, "of the finest level, active at once")->capture_default_str();
+  app.add_option("--max-nodes", options.max_nodes, "of all levels, wanted at once")->check(CLI::Range(1u, runtime::kMaxSlots))->capture_default_str();
   app.add_flag("--stepped", options.stepped, "a frame follows when all that the one before asked for is there, and finds that 1/60 s has passed: for solvers that take longer");
   app.add_flag("--own-core", options.own_core, "the frame's thread has the first core for itself, all others share the rest");
   app.add_flag("--real-time", options.real_time, "the frame's thread keeps its core until it waits (SCHED_FIFO)");

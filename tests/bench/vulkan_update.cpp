@@ -65,7 +65,7 @@ void printTile(const std::shared_ptr<VkContext>& context, const std::string& wor
   const auto folder = std::filesystem::temp_directory_path() / ("ff_vulkan_update_" + std::to_string(getpid()));
   std::filesystem::create_directories(folder);
   const formats::WholeWorld world = orExit(formats::WholeWorld::open(world_path.empty() ? bakeTown(folder, quick) : world_path));
-  const auto recorder = orExit(makeVulkanRecorder(context, gatherRoomFor(world)));
+  const auto recorder = orExit(makeVulkanRecorder(context, gatherRoomFor(world, slotsFor(stream::StreamSettings().max_nodes))));
   const uint64_t patch = world.levels()[0].nodes / 2;
   const formats::Strip strip = orExit(world.strip(formats::TileId{0, world.tileOf(0, patch)}));
   const formats::Node& node = strip.nodes[patch - strip.first_node];

@@ -19,7 +19,7 @@ LocalMatrix room(uint32_t n, uint32_t seen, uint32_t kept_of_1000, float albedo)
   m.leaf.assign(n, 1);
   m.row_start.push_back(0);
   for (uint32_t i = 0; i < n; ++i) {
-    for (uint32_t k = 1; k <= seen; ++k) m.entries.push_back((i + k) % n << 16 | kept_of_1000 / seen);
+    for (uint32_t k = 1; k <= seen; ++k) m.entries.push_back(packEntry((i + k) % n, kept_of_1000 / seen));
     m.row_start.push_back(static_cast<uint32_t>(m.entries.size()));
   }
   finishByHand(m);

@@ -67,7 +67,7 @@ std::map<Name, Lit> litAt(const std::string& path, Vec3 at, int32_t first_chunk)
     if (std::get<0>(names[slot]) > 1) continue;  // the rows of coarser ones reach farther than the small world
     Lit& lit = nodes[names[slot]] = {updater.source()[slot], light[slot], {}};
     if (m.leaf[slot])
-      for (const uint32_t entry : m.row(slot)) lit.row.emplace_back(names[entry >> 16], entry & 0xffff);
+      for (const uint32_t entry : m.row(slot)) lit.row.emplace_back(names[slotOfEntry(entry)], countOfEntry(entry));
   }
   return nodes;
 }

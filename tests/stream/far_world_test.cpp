@@ -15,7 +15,7 @@ class FarWorld : public testing::Test {
   static constexpr uint32_t kLevels = 6;
   static void SetUpTestSuite() {
     folder_ = std::make_unique<formats::TemporaryFolder>();
-    const auto written = formats::writeWorld(makeSyntheticWorld({.side = 256, .levels = kLevels, .tile_nodes = 64, .quanta = 32}), path(), 1 << 26);
+    const auto written = formats::writeWorld(makeSyntheticWorld({.side = 256, .levels = kLevels, .tile_nodes = 64, .quanta = 15}), path(), 1 << 26);
     ASSERT_TRUE(written) << written.error().line();
   }
   static void TearDownTestSuite() { folder_.reset(); }

@@ -197,7 +197,7 @@ TEST_F(FramePath, WhatAStreamerTakesIsForWhatIsNearAndNotForTheWorld) {
   std::map<size_t, uint64_t> bytes;  // by tiles of the world
   for (const uint32_t side : {64u, 128u}) {
     const auto path = folder_.file(std::to_string(side) + ".ffm");
-    ASSERT_TRUE(formats::writeWorld(makeSyntheticWorld({.side = side, .levels = 6, .tile_nodes = 16}), path, 1 << 20));
+    ASSERT_TRUE(formats::writeWorld(makeSyntheticWorld({.side = side, .levels = 6, .tile_nodes = 16, .quanta = 15}), path, 1 << 20));
     const auto world = formats::WholeWorld::open(path);
     ASSERT_TRUE(world) << world.error().line();
     size_t tiles = 0;

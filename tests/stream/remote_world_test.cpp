@@ -21,7 +21,7 @@ using namespace std::chrono_literals;
 class RemoteWorld : public testing::Test {
  protected:
   RemoteWorld() {
-    const auto written = formats::writeWorld(makeSyntheticWorld({.side = 128, .levels = 6, .tile_nodes = 64}), local(), 1 << 19);
+    const auto written = formats::writeWorld(makeSyntheticWorld({.side = 128, .levels = 6, .tile_nodes = 64, .quanta = 15}), local(), 1 << 19);
     EXPECT_TRUE(written) << written.error().line();
   }
   std::string local() const { return folder_.file("w.ffm"); }

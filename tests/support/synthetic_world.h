@@ -11,7 +11,7 @@ struct SyntheticSettings {
   uint32_t side = 32;  // cells along the square, a power of two
   uint32_t levels = 4;
   uint32_t tile_nodes = 32;  // at most, so that a small world has many tiles
-  uint32_t quanta = 48;      // of a patch; a cluster has the sum of its patches'
+  uint32_t quanta = 48;      // of a patch; a cluster has the sum of its patches', which formats::kMaxQuanta bounds
   double far_share = 0.2;    // of a row's quanta that go anywhere rather than near
   double sky_share = 0.3;    // of a row's quanta; 0: closed
   double hole_share = 0.2;   // of the cells that hold no patch

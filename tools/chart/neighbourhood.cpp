@@ -61,11 +61,11 @@ Result<LocalPatches> localPatches(const formats::WholeWorld& world, const WorldT
     const Vec4 rho = l.matrix.albedo[slot];
     float outside = 0;
     for (const uint32_t entry : l.matrix.row(slot)) {
-      const float f = static_cast<float>(entry & 0xffff) * l.matrix.row_scale[slot];
-      if (entry >> 16 == l.matrix.ambient_slot)
+      const float f = static_cast<float>(countOfEntry(entry)) * l.matrix.row_scale[slot];
+      if (slotOfEntry(entry) == l.matrix.ambient_slot)
         outside += f;
       else
-        rows[p].push_back({patch_of[entry >> 16], f});
+        rows[p].push_back({patch_of[slotOfEntry(entry)], f});
     }
     const Vec4 m = l.slot_source[slot];
     l.source.push_back(

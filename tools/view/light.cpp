@@ -96,8 +96,8 @@ std::vector<shaders::vec4> gatherLight(const LocalMatrix& m, std::span<const Vec
   for (uint32_t s = 0; s < m.slots(); ++s) {
     Vec3 sum;
     for (const uint32_t entry : m.row(s)) {
-      const Vec4& r = reflected[entry >> 16];
-      sum += static_cast<float>(entry & 0xffff) * Vec3{r.x, r.y, r.z};
+      const Vec4& r = reflected[runtime::slotOfEntry(entry)];
+      sum += static_cast<float>(runtime::countOfEntry(entry)) * Vec3{r.x, r.y, r.z};
     }
     sum *= m.row_scale[s];
     light[s] = {sum.x, sum.y, sum.z, 0};

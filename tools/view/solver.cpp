@@ -56,7 +56,7 @@ Result<std::unique_ptr<runtime::Solver>> makeSolver(const formats::World& world,
   // The paper's method is for charts: it lights the patches near the eye alone.
   if (choice->kind != SolverKind::kMultibounce) {
     if (options.on_cpu) return runtime::makeCpuGather();
-    return runtime::makeVulkanGather(std::move(context), runtime::gatherRoomFor(world));
+    return runtime::makeVulkanGather(std::move(context), runtime::gatherRoomFor(world, runtime::slotsFor(streamer.maxNodes())));
   }
   runtime::MultibounceSettings settings;
   settings.places = choice->places;

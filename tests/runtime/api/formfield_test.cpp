@@ -579,7 +579,7 @@ TEST_F(Formfield, WhatIsWrongIsACodeAndALine) {
   uint32_t slot;
   EXPECT_EQ(formfieldPatchSlots(world_, 4000000000u, 500000000u, &slot), FORMFIELD_ERROR_USAGE);
   EXPECT_EQ(formfieldSlotNode(world_, 4000000000u, nullptr, nullptr), FORMFIELD_ERROR_USAGE);
-  EXPECT_EQ(formfieldSetDirectIrradiance(world_, 60000, 10000, point), FORMFIELD_ERROR_USAGE);
+  EXPECT_EQ(formfieldSetDirectIrradiance(world_, FORMFIELD_MAX_SLOTS - 9999, 10000, point), FORMFIELD_ERROR_USAGE);
   FormfieldStats small{};
   EXPECT_EQ(formfieldGetStats(world_, &small), FORMFIELD_ERROR_USAGE);
 }

@@ -36,7 +36,7 @@ TEST(PageTable, ResolvesEveryNodeOfEveryTileAsAWalkUpTheParentsDoes) {
         const uint32_t number = pages.hold(*test.world().ref(info.id).chunk, info.id.tile);
         pages.refresh();
         for (uint32_t i = 0; i < info.nodes; ++i)
-          ASSERT_EQ(pages.page(number)[i], resolveByWalking(test, matrix, level, info.first_node + i))
+          ASSERT_EQ(pages.page(number).slot(i), resolveByWalking(test, matrix, level, info.first_node + i))
               << level << ":" << info.first_node + i;
       }
     EXPECT_FALSE(pages.incomplete());
@@ -65,10 +65,10 @@ TEST(LocalMatrix, RowsAreTheStripsRowsWithColumnsResolvedAndMerged) {
           std::map<uint32_t, uint32_t> row;
           uint32_t before = kNoSlot;
           for (const uint32_t entry : matrix.row(slot)) {
-            row[entry >> 16] += entry & 0xffff;
+            row[slotOfEntry(entry)] += countOfEntry(entry);
             // Neighbours that resolve to one slot are merged within a run; over runs they may meet.
-            twice += entry >> 16 == before;
-            before = entry >> 16;
+            twice += slotOfEntry(entry) == before;
+            before = slotOfEntry(entry);
           }
           if (!matrix.leaf[slot]) expected[i].clear();
           ASSERT_EQ(row, expected[i]) << "slot " << slot;
@@ -146,9 +146,9 @@ TEST(LocalMatrix, ConstantFarLightSendsAllOtherColumnsToOneSlot) {
       const formats::Node& node = strip->nodes[i];
       uint32_t sum = 0;
       for (const uint32_t entry : matrix.row(matrix.slotOf(0, strip->first_node + i))) {
-        ASSERT_LT(entry >> 16, matrix.slots());
-        met = met || entry >> 16 == ambient;
-        sum += entry & 0xffff;
+        ASSERT_LT(slotOfEntry(entry), matrix.slots());
+        met = met || slotOfEntry(entry) == ambient;
+        sum += countOfEntry(entry);
       }
       ASSERT_EQ(sum + node.sky + node.absorbed, node.quanta);
       ++slots;

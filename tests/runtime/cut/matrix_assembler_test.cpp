@@ -34,7 +34,7 @@ std::map<NodeId, NodeView> byNode(const LocalMatrix& m) {
   std::map<NodeId, NodeView> nodes;
   for (const auto& [slot, id] : node_of_slot) {
     NodeView& view = nodes[id];
-    for (const uint32_t entry : m.row(slot)) view.row.emplace_back(node_of_slot.at(entry >> 16), entry & 0xffff);
+    for (const uint32_t entry : m.row(slot)) view.row.emplace_back(node_of_slot.at(slotOfEntry(entry)), countOfEntry(entry));
     view.scale = m.row_scale[slot];
     view.leaf = m.leaf[slot] != 0;
     if (m.parent_slot[slot] != kNoSlot) view.parent = node_of_slot.at(m.parent_slot[slot]);

@@ -33,7 +33,7 @@ LocalMatrix unfinishedBox(uint32_t leaves, float albedo, uint64_t seed, uint32_t
     m.leaf.push_back(1);
     m.row_scale.push_back(1 / static_cast<float>(quanta));
     for (uint32_t e = 0; e < entries; ++e)
-      m.entries.push_back(static_cast<uint32_t>(random() % leaves) << 16 | quanta / entries);
+      m.entries.push_back(packEntry(static_cast<uint32_t>(random() % leaves), quanta / entries));
     m.row_start.push_back(static_cast<uint32_t>(m.entries.size()));
   }
   m.refined_level_start.push_back(0);
@@ -321,7 +321,7 @@ TEST_F(VkDenseStep, ARefusedBlockIsTakenBackAndItsNodesAreLeftToTheSparseRows) {
   LocalMatrix m = unfinishedBox(300, 0.6f, 4);
   for (const uint32_t s : {0u, 1u}) {
     m.albedo[s] = {0.5f, 0.3f, 0.1f, 0};
-    for (uint32_t e = 0; e < 64; ++e) m.entries[64 * s + e] = (1 - s) << 16 | 128;
+    for (uint32_t e = 0; e < 64; ++e) m.entries[64 * s + e] = packEntry(1 - s, 128);
   }
   finishByHand(m);
   std::vector<Vec4> source = randomSource(m, 2);

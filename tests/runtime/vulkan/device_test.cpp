@@ -20,8 +20,8 @@ std::shared_ptr<const LocalMatrix> ring(uint32_t slots) {
   LocalMatrix m;
   m.row_start.push_back(0);
   for (uint32_t s = 0; s < slots; ++s) {
-    m.entries.push_back(((s + 1) % slots) << 16 | 500);
-    m.entries.push_back(((s + 2) % slots) << 16 | 300);
+    m.entries.push_back(packEntry((s + 1) % slots, 500));
+    m.entries.push_back(packEntry((s + 2) % slots, 300));
     m.row_start.push_back(static_cast<uint32_t>(m.entries.size()));
     m.albedo.push_back({0.8f, 0.5f, 0.2f, 0});
     m.row_scale.push_back(1.0f / 1000);

@@ -16,7 +16,7 @@ LocalMatrix smallMatrix() {
   LocalMatrix m;
   m.tiles = {{{0, 0}, 0, 0, 3}, {{1, 0}, 3, 0, 1}};
   m.row_start = {0, 2, 3, 3, 3};
-  m.entries = {1u << 16 | 4, 2u << 16 | 2, 0u << 16 | 8};
+  m.entries = {runtime::packEntry(1, 4), runtime::packEntry(2, 2), runtime::packEntry(0, 8)};
   m.row_scale = {1.0f / 8, 1.0f / 16, 1, 1};
   m.refined = {{3, 1, 2}};  // slots 1 to 2
   m.refined_level_start = {0, 1};

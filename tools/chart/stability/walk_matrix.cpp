@@ -120,8 +120,7 @@ void WalkMatrix::set(std::span<const uint32_t> present, std::span<const uint32_t
     m.row_start[p] = static_cast<uint32_t>(m.entries.size());
     for (uint32_t k = set_.row_start[p]; k < set_.row_start[p + 1]; ++k)
       if (m.leaf[set_.columns[k]])
-        m.entries.push_back(set_.columns[k] << 16 |
-                            static_cast<uint32_t>(std::lround(set_.row_values[k] * static_cast<float>(kWalkQuanta))));
+        m.entries.push_back(packEntry(set_.columns[k], static_cast<uint32_t>(std::lround(set_.row_values[k] * static_cast<float>(kWalkQuanta)))));
     m.row_entries[p] = static_cast<uint32_t>(m.entries.size()) - m.row_start[p];
     m.used_entries += m.row_entries[p];
     m.entries.resize((m.entries.size() + kRowPadding - 1) / kRowPadding * kRowPadding, 0);

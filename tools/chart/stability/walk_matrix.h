@@ -8,7 +8,7 @@
 
 namespace ff::chart {
 
-inline constexpr uint32_t kWalkQuanta = 32768;  // a power of two: count / Q is exact in single precision
+inline constexpr uint32_t kWalkQuanta = 8192;   // a power of two: count / Q is exact in single precision
 
 // The same rows as counts over kWalkQuanta, at least 1 an entry; a row's sum stays within half a count of what it was.
 std::vector<walks::FormFactorRow> quantised(std::span<const walks::FormFactorRow> rows);
