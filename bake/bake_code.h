@@ -5,6 +5,6 @@
 namespace ff::bake {
 
 // Raised whenever the same scene and settings come to give other bytes.
-inline constexpr uint32_t kBakeCode = 28;
+inline constexpr uint32_t kBakeCode = 29;
 
 }  // namespace ff::bake

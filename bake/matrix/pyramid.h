@@ -29,8 +29,8 @@ inline constexpr int kTileEdgeLog = 4;          // 8 cells instead of 16: 3 % mo
 static_assert(kTileEdgeLog + 1 <= formats::kChunkLog, "what lies beneath a tile lies in one chunk");
 
 // Up to this level what lamps light a node's patches with directly is within an octave, all that is darker than their chunk's mean being one: where a cluster stands for its
-// patches, what is seen is that they differ, and most of that is direct light. On two levels more it takes slots that finer ones need (town of 1M by night: RESULTS.md).
-inline constexpr int kBrightLevels = 3;
+// patches, what is seen is that they differ, and most of that is direct light (town of 1M by night: RESULTS.md).
+inline constexpr int kBrightLevels = 5;
 static_assert(kBrightLevels <= formats::kChunkLog, "what a node gathers lies in one chunk of level 0");
 
 // Openness class of a patch: 0 interior, 1 half open, 2 open, by the fraction of its rays that reach the sky; 3 and 4 an

@@ -317,9 +317,9 @@ TEST(Pyramid, LampsAndNarrowPlacesHaveClustersOfTheirOwn) {
   }
 }
 
-// A town of 256 x 256 cells, and what lamps 24 cells apart and 4 cells above the ground give each patch, W/m2, as if nothing stood between; beyond 12 cells nothing.
+// A town of 512 x 512 cells, and what lamps 24 cells apart and 4 cells above the ground give each patch, W/m2, as if nothing stood between; beyond 12 cells nothing.
 struct LampLitTown {
-  std::vector<Patch> patches = townPatches(256);
+  std::vector<Patch> patches = townPatches(512);
   std::vector<float> sky = std::vector<float>(patches.size(), 0.5f), lamp_light = std::vector<float>(patches.size());
   LampLitTown() {
     for (size_t i = 0; i < patches.size(); ++i) {
