@@ -16,7 +16,7 @@ struct SolverChoice {
   Storage storage = Storage::kFloat32;  // of a dense matrix
   bool luminance = false;
   uint32_t places = 4096;  // of a dense matrix
-  int iterations = 1;      // a frame
+  int iterations = 1;      // a frame; or Updater::kAsLightNeeds
   // Of the cut (stream/streamer.h); none: the caller's.
   std::optional<float> radius_m{}, growth{};
   std::optional<uint32_t> max_patches{};

@@ -33,6 +33,8 @@ constexpr float kLongestFrame = 0.1f;  // s
 constexpr float kPause = 2;            // times as long as frames of late, no frame counts for more: somebody waits for something else
 constexpr float kTurns = 1;            // a streamer in the background looks at a place in one frame, and what it has found is taken up in the next
 constexpr float kSlack = 4;            // frames that threads may lose while others have their cores
+constexpr int kSteps = 2;              // a frame, of which one does where light rests: of what a new cut changes, all but what is due is held back
+constexpr uint32_t kRestFrames = 60;   // it rests once it has been the same for so long
 constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
 Error noLight(std::string place, const char* why) {
@@ -138,8 +140,10 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   if (lamps_changed_) entering_.set(sky_, lamps_);
   const auto changed = followCut();
   if (!changed) return changed.error();
-  if (sky_changed_ || light_changed_ || lamps_changed_)
-    if (auto relit = relightAll(); !relit) return relit.error();
+  const bool relit = sky_changed_ || light_changed_ || lamps_changed_;
+  if (relit)
+    if (auto lit = relightAll(); !lit) return lit.error();
+  rested_frames_ = relit ? 0 : rested_frames_ + 1;
   FrameStats stats = counts_;
   stats.matrix_changed = *changed;
   stats.light_zeroed = light_zeroed_;
@@ -148,7 +152,7 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(matrix(), observers);
-  const auto iterated = solver_.iterate(iterations);
+  const auto iterated = solver_.iterate(iterations != kAsLightNeeds ? iterations : rested_frames_ < kRestFrames ? kSteps : 1);
   cut_.begin();
   if (!iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();
@@ -244,7 +248,10 @@ Result<bool> Updater::followCut() {
   else if (cut_.reads())
     return false;  // it has had no core since the last frame
   bool changed = false;
-  if (whole || std::exchange(jumped_, false)) fade_.finish();
+  if (const bool jumped = std::exchange(jumped_, false); whole || jumped) {
+    fade_.finish();
+    rested_frames_ = 0;
+  }
   const std::span<const stream::StripPtr> all = fade_.cut(streamer_.active());
   const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {

@@ -67,6 +67,8 @@ class Updater {
   // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(const stream::Observers& observers, int iterations);
+  // For `gather`: two; one where no light has changed for 60 frames, and nobody has jumped.
+  static constexpr int kAsLightNeeds = -1;
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations) { return frame(stream::Observers(stream::Observer{observer, velocity}), iterations); }
   // These two are for a re-bake of a world that is shown (reload.h), before the first frame. prepare(): on any thread; puts together the matrix of the
   // streamer's active tiles, and what goOnFrom() needs to know of the world shown until now.
@@ -142,6 +144,7 @@ class Updater {
   float frame_seconds_ = 0;
   stream::Lead lead_;
   bool await_cut_ = false, jumped_ = false;  // for the next followCut()
+  uint32_t rested_frames_ = 0;               // since light has changed, or somebody has jumped
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   // Of prepare().
   struct Named {

@@ -370,7 +370,7 @@ Result<void> check(const formats::World& world, const StreamSettings& s, std::sp
   if (!(s.radius_m > 0) || !std::isfinite(s.radius_m))
     return refuse("radius_m is not positive", "give metres, such as 24");
   if (!(s.growth >= 1) || !std::isfinite(s.growth))
-    return refuse("growth is below 1", "coarser levels reach farther; try 1.25");
+    return refuse("growth is below 1", "coarser levels reach farther; try 1.3");
   if (!(s.hysteresis >= 1) || !std::isfinite(s.hysteresis))
     return refuse("hysteresis is below 1", "a tile must not leave before it enters; try 1.15");
   if (!(s.ahead_seconds >= 0 && s.ahead_seconds <= 10)) return refuse("ahead_seconds is not between 0 and 10", "try 0.5");

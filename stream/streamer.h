@@ -21,12 +21,12 @@ namespace ff::stream {
 // a larger growth buys little of what an eye sees within 48 m, and a larger radius much.
 struct StreamSettings {
   float radius_m = 16;                          // r_0: a level-0 tile is wanted when its bounds are nearer than this
-  float growth = 1.25f;                         // g: r_l = r_0 * g^l; where max_nodes or memory_bytes run out, it is smaller first, by a third of what is above 1, and then r_0
+  float growth = 1.3f;                          // g: r_l = r_0 * g^l; where max_nodes or memory_bytes run out, it is smaller first, by a third of what is above 1, and then r_0
   float hysteresis = 1.15f;                     // a tile stays wanted until its distance exceeds radius * hysteresis
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 24576;            // likewise, for active patches
-  uint32_t max_nodes = 57344;                   // of all wanted tiles together; a seventh more have room in the matrix, for what fades out
+  uint32_t max_nodes = 114688;                  // of all wanted tiles together; a seventh more have room in the matrix, for what fades out
                                                 // free, so that a tile that enters finds consecutive ones
   int decode_threads = 1;
   int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 60 m/s wants some 200 a second, also where each

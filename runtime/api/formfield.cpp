@@ -49,14 +49,14 @@ Result<SolverChoice> firstChoice(const FormfieldDevice_T& device, const Formfiel
     auto recommended = readRecommendation(path);
     if (!recommended) return recommended.error();
     if (*recommended && (!device.records() || device.records((*recommended)->kind))) return **recommended;
-    choice.iterations = 2;
+    choice.iterations = Updater::kAsLightNeeds;
     if (device.records()) choice.why = "what can record frames into a command buffer";
     return choice;
   }
   choice.kind = s.solver == FORMFIELD_SOLVER_MULTIBOUNCE ? SolverKind::kMultibounce
                 : s.solver == FORMFIELD_SOLVER_SEED      ? SolverKind::kSeed
                                                          : SolverKind::kGather;
-  choice.iterations = choice.kind == SolverKind::kGather ? 2 : 1;
+  choice.iterations = choice.kind == SolverKind::kGather ? Updater::kAsLightNeeds : 1;
   choice.storage = s.storage == FORMFIELD_STORAGE_FLOAT16 ? Storage::kFloat16 : Storage::kFloat32;
   choice.places = s.dense_places;
   choice.why = "as the settings say";
@@ -167,7 +167,7 @@ Result<void> FormfieldWorld_T::open() {
   if (!made && settings.solver == FORMFIELD_SOLVER_AUTO && choice.kind != SolverKind::kGather) {
     // What was recommended on another device may exceed this one.
     choice.kind = SolverKind::kGather;
-    choice.iterations = 2;
+    choice.iterations = Updater::kAsLightNeeds;
     choice.why = "gather: " + made.error().line();
     made = device.makeSolver(world(), choice, slotsFor(settings.max_nodes));
   }

@@ -18,10 +18,10 @@ constexpr size_t kCrowd_percent = 50;  // of max_nodes: past it those that show 
 // Of a level's radius:
 constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
 constexpr float kLate = 0.9f;    // what enters nearer than that has not come by an observer's way
-constexpr float kGone = 0.4f;    // the way from where a tile leaves to where it shows nothing of its own
+constexpr float kGone = 2;       // the way from where a tile leaves to where it shows nothing of its own
 // Of level 0's radius:
-constexpr float kAhead = 0.75f;  // tiles on the way enter so much farther away
-constexpr float kEase = 0.25f;   // the way in which light follows
+constexpr float kAhead = 3;     // tiles on the way enter so much farther away
+constexpr float kEase = 0.25f;  // the way in which light follows
 
 }  // namespace
 

@@ -83,6 +83,7 @@ struct LocalMatrix {
   std::vector<float> child_weight;    // per slot with a parent: its area over that of the parent's children; equal where none has any
   std::vector<uint32_t> entries;      // with gaps between rows
   std::vector<uint32_t> leaves;       // slots, in the order of `tiles`
+  std::vector<uint32_t> changed_leaves;  // those whose rows the last update changed or brought; empty: not known
   std::vector<uint32_t> leaf_parts{0};  // where parts of `leaves` begin whose rows have about kPartEntries entries; last = leaves.size()
   // Refined slots, level by level from the finest up, so that a pass in order finds its children done.
   struct Refined {

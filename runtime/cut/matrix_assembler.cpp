@@ -96,6 +96,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   m.entries.reserve(entry_capacity_);
   m.most_slots = static_cast<uint32_t>(std::min<uint64_t>(nodesOf(world) + 1, max_slots));  // one is FarLight::kConstant's
   m.leaves.reserve(max_slots);
+  m.changed_leaves.reserve(max_slots);
   m.leaf_parts.reserve(max_slots + 1);
   m.refined.reserve(max_slots);
   m.refined_level_start.reserve(formats::kMaxLevels + 1);
@@ -141,6 +142,7 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
   change_.left.clear();
   change_.entered.clear();
   change_.rows.clear();
+  matrix_.changed_leaves.clear();
   change_.pages.clear();
   const auto takes_part = [this](const StripPtr& s) { return far_light_ == FarLight::kPyramid || s->id.level == 0; };
   {
@@ -435,8 +437,8 @@ void MatrixAssembler::pad(uint32_t slot) {
   std::fill(row + entries, row + padded(entries), 0u);
 }
 
-// Resolves a row from its first to its last run in a page that changed; the rest of it only moves.
-void MatrixAssembler::updateRow(Tile& tile, uint32_t row) {
+// Resolves a row from its first to its last run in a page that changed; the rest of it only moves. Whether there is any.
+bool MatrixAssembler::updateRow(Tile& tile, uint32_t row) {
   const ResidentStrip& strip = *tile.strip;
   const uint32_t slot = tile.range.first_slot + row, no_run = 0xffffffffu;
   uint32_t first = no_run, end = 0, first_word = 0, first_entry = 0, end_entry = 0;
@@ -455,13 +457,14 @@ void MatrixAssembler::updateRow(Tile& tile, uint32_t row) {
       end_entry = entry;
     }
   }
-  if (first == no_run) return;
+  if (first == no_run) return false;
   const uint32_t n = resolveRuns(tile, first, end, first_word, scratch_.data());
   uint32_t* const entries = matrix_.entries.data() + matrix_.row_start[slot];
   std::copy_n(entries + end_entry, entry - end_entry, scratch_.data() + n);
   std::copy_n(scratch_.data(), n + entry - end_entry, entries + first_entry);
   matrix_.row_entries[slot] = first_entry + n + entry - end_entry;
   pad(slot);
+  return true;
 }
 
 void MatrixAssembler::resolveRows() {
@@ -486,8 +489,9 @@ void MatrixAssembler::resolveRows() {
       if (!matrix_.leaf[slot]) continue;
       if (is_new)
         resolveRow(tile, i);
-      else if ((changed & tile.strip->row_partners[i]) != 0)
-        updateRow(tile, i);
+      else if ((changed & tile.strip->row_partners[i]) == 0 || !updateRow(tile, i))
+        continue;
+      matrix_.changed_leaves.push_back(slot);
     }
     change_.rows.push_back(static_cast<uint32_t>(t));
   }

@@ -73,7 +73,7 @@ class MatrixAssembler {
   void makeLeaf(uint32_t slot);
   uint32_t resolveRuns(const Tile& tile, uint32_t first, uint32_t end, uint32_t word, uint32_t* out);
   void resolveRow(Tile& tile, uint32_t row);
-  void updateRow(Tile& tile, uint32_t row);
+  bool updateRow(Tile& tile, uint32_t row);
   void pad(uint32_t slot);
   void resolveRows();
   void listLeavesAndRefined();

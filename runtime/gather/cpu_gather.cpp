@@ -17,6 +17,7 @@ namespace ff::runtime {
 namespace {
 
 constexpr uint32_t kPartRefined = 2048;  // slots of a part handed to a thread; a single part is done without a meeting
+constexpr uint32_t kPartChanged = 256;   // rows of one
 
 class CpuGather final : public Solver {
  public:
@@ -46,6 +47,7 @@ class CpuGather final : public Solver {
     }
     if (all) stepped_ = false;
     if (all) held_.touch(matrix.most_slots);
+    knows_changed_ = !held_.due();  // not those of the change before
     held_.rowsChanged(matrix.slots(), stepped_);
     shows_parents_light_ = held_.due();
     if (!all)
@@ -171,13 +173,18 @@ class CpuGather final : public Solver {
   }
 
   // The last step, made with the new rows, would have come to something else than it did: what it did stays, and the difference is held back. (to_ has what
-  // that step came from.)
+  // that step came from.) Of rows that are as they were that is what is held back already.
   void hold() {
     enter();
     before_.resize(to_.size());
-    forLeaves([&](std::span<const uint32_t> leaves, uint32_t begin, uint32_t end) {
-      (void)kernel_(jobOf(source_, to_, before_), begin, end);
-      for (const uint32_t s : leaves) held_.take(s, from_[s] + before_[s] * Vec4{-1, -1, -1, 0});
+    const std::vector<uint32_t>& rows = knows_changed_ && !matrix_->changed_leaves.empty() ? matrix_->changed_leaves : matrix_->leaves;
+    GatherJob job = jobOf(source_, to_, before_);
+    job.leaves = rows.data();
+    const auto count = static_cast<uint32_t>(rows.size());
+    pool_.run((count + kPartChanged - 1) / kPartChanged, [&](uint32_t part) {
+      const uint32_t begin = part * kPartChanged, end = std::min(begin + kPartChanged, count);
+      (void)kernel_(job, begin, end);
+      for (uint32_t r = begin; r < end; ++r) held_.take(rows[r], from_[rows[r]] + before_[rows[r]] * Vec4{-1, -1, -1, 0});
     });
     held_.taken();
   }
@@ -266,6 +273,7 @@ class CpuGather final : public Solver {
   bool before_is_clear_ = false;     // of what free slots had when they were taken
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
+  bool knows_changed_ = false;  // LocalMatrix::changed_leaves is all that has changed since it was told last what is due
   std::vector<SlotRange> entering_;   // since enter(); the coarsest level of an update first
   std::vector<SlotRange> left_;       // since enter()
   bool shows_parents_light_ = false;  // of these

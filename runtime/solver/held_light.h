@@ -52,7 +52,7 @@ class HeldLight {
   bool release(std::span<const uint32_t> leaves, std::span<const Vec4> source) {
     bool left = false;
     for (const uint32_t s : leaves) {
-      left |= held_[s].release();
+      left |= held_[s].release(ease_frames_);
       const Vec3& light = held_[s].light;
       lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
     }
@@ -70,12 +70,14 @@ class HeldLight {
     Vec3 light;  // W/m2
     uint32_t frames = 0;
 
-    // It is so much now. What has grown takes its full time again; the rest goes on, and takes no longer than that.
+    // It is so much now. What has grown takes its full time again; the rest goes on.
     void take(Vec3 now, uint32_t most_frames) {
-      if (frames > most_frames || !(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
+      if (!(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
       light = isSound(now.x) & isSound(now.y) & isSound(now.z) ? now : Vec3{};
     }
-    bool release() {
+    // A frame passes. It takes no longer than most_frames.
+    bool release(uint32_t most_frames) {
+      frames = std::min(frames, most_frames);
       const float stays = frames > 1 ? static_cast<float>(frames - 1) / static_cast<float>(frames) : 0;
       light *= stays;
       if (frames > 0) --frames;

@@ -130,7 +130,7 @@ void run(const Options& options) {
   };
   print("cut.error_inner_pyramid", worst(pyramid), "relative L2", 0.015, note(pyramid, all_pyramid));
   print("cut.error_inner_constant", worst(constant), "relative L2", 0.015, note(constant, all_constant));
-  print("cut.active_nodes", leaves, "nodes", 65536, name + "; leaves of the cut, mean");
+  print("cut.active_nodes", leaves, "nodes", kMaxSlots, name + "; leaves of the cut, mean");
   print("cut.local_matrix_bytes", bytes, "B", std::nan(""),
         name + "; mean; built in " + std::to_string(build_ms) + " ms, one iteration " + std::to_string(iteration_ms) +
             " ms");

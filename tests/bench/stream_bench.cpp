@@ -50,7 +50,7 @@ struct Options {
   uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false, real_time = false;
-  int iterations() const { return solver == "gather" ? 2 : 1; }  // a frame, as the C interface does
+  int iterations() const { return solver == "gather" ? runtime::Updater::kAsLightNeeds : 1; }  // a frame, as the C interface does
 };
 
 double threadMs() {

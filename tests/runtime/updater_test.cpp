@@ -541,12 +541,16 @@ TEST(Updater, WhatIsReflectedCarriesOverByNodeWhenTheCutChanges) {
 class Refusing final : public Solver {
  public:
   int updates = 0, sources = 0;  // to refuse
+  int last_steps = 0;
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     return updates-- > 0 ? refusal() : good_->update(matrix, change);
   }
   Result<void> setSource(std::span<const Vec4> source) override { return sources-- > 0 ? refusal() : good_->setSource(source); }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override { return good_->setRadiosity(radiosity); }
-  Result<void> iterate(int k) override { return good_->iterate(k); }
+  Result<void> iterate(int k) override {
+    last_steps = k;
+    return good_->iterate(k);
+  }
   Result<void> radiosity(std::span<Vec4> out) override { return good_->radiosity(out); }
   double lastMs() const override { return 0; }
   const char* name() const override { return "refusing"; }
@@ -555,6 +559,31 @@ class Refusing final : public Solver {
   static Result<void> refusal() { return Error{ErrorCode::kIo, "", "", "refused", ""}; }
   std::unique_ptr<Solver> good_ = makeCpuGather(2);
 };
+
+TEST(Updater, OneStepAFrameDoesOnceLightHasRested) {
+  const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});
+  const auto streamer = std::move(*stream::Streamer::create(test.world(), {.radius_m = 8, .hysteresis = 1.0f}));
+  Refusing solver;
+  Updater updater(test.world(), *streamer, solver);
+  ASSERT_TRUE(updater.setSky(kSky));
+  Vec3 at{10, 1, 30};
+  const auto framesUntilOne = [&] {
+    for (int frame = 1; frame < 200; ++frame) {
+      at.x += 0.05f;  // the cut changes
+      EXPECT_TRUE(updater.frame(at, {}, Updater::kAsLightNeeds));
+      if (solver.last_steps == 1) return frame;
+      EXPECT_EQ(solver.last_steps, 2);
+    }
+    return 0;
+  };
+  EXPECT_NEAR(framesUntilOne(), 60, 1);
+  ASSERT_TRUE(updater.setLamp(0, {0, 0, 0}));
+  EXPECT_NEAR(framesUntilOne(), 60, 1) << "a lamp has been switched";
+  at.x += 20;
+  EXPECT_NEAR(framesUntilOne(), 60, 1) << "somebody has jumped";
+  ASSERT_TRUE(updater.frame(at, {}, 5));
+  EXPECT_EQ(solver.last_steps, 5) << "who says how many gets so many";
+}
 
 TEST(Updater, TellsASolverAgainWhatItRefusedUntilItTakesIt) {
   const TestWorld test({.side = 64, .tile_nodes = 40, .seed = 2});

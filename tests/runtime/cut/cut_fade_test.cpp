@@ -24,16 +24,16 @@ TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
   const std::vector<float> radii_m{16, 20};
   CutFade fade({.frames = 8}, radii_m);
   const auto at = [](float speed) { return stream::Observer{{}, {0, 0, speed}}; };
-  EXPECT_NEAR(fade.begin(at(30), kFrame_s), 12.0f / 30, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(30), kFrame_s), 48.0f / 30, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 8u);  // of 4 m
-  EXPECT_NEAR(fade.begin(at(5), kFrame_s), 12.0f / 5, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(5), kFrame_s), 48.0f / 5, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 48u);
-  EXPECT_NEAR(fade.begin(at(120), kFrame_s), 1.2f * 8 * kFrame_s, 1e-5f);  // the frames that light takes are more than that way
+  EXPECT_NEAR(fade.begin(at(600), kFrame_s), 1.2f * 8 * kFrame_s, 1e-5f);  // the frames that light takes are more than that way
   EXPECT_EQ(fade.easeFrames(), 8u);
   (void)fade.begin(at(0), kFrame_s);
   EXPECT_EQ(fade.easeFrames(), 120u);
   const stream::Observer several[] = {at(0), at(5), at(1)};
-  EXPECT_NEAR(fade.begin(stream::Observers(several), kFrame_s), 12.0f / 5, 1e-5f);
+  EXPECT_NEAR(fade.begin(stream::Observers(several), kFrame_s), 48.0f / 5, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 48u);
   CutFade at_once({.frames = 0}, radii_m), slower({.frames = 300}, radii_m);
   EXPECT_EQ(at_once.begin(at(5), kFrame_s), 0);
@@ -164,6 +164,15 @@ TEST(CutFade, WhatComesLateOrIsWaitedForShowsItsOwnAtOnce) {
     const SlotRange& range = *std::ranges::find(m.tiles, slots.first_slot, &SlotRange::first_slot);
     EXPECT_GE(test.world().tiles(range.id.level)[range.id.tile].bounds.distance({17, 1, 30}), 0.9f * flight.streamer->radii()[range.id.level]);
   }
+}
+
+TEST(CutFade, WhatLeavesAfterAFrameThatHasWaitedFadesAsEver) {
+  const TestWorld test(kWorld);
+  Flight flight(test, {.frames = 4});
+  flight.frame({25, 1, 30});  // the first one: it waits, and comes from nowhere
+  EXPECT_EQ(flight.updater.matrix().tiles.size(), flight.streamer->active().size());
+  flight.frame({32, 1, 30});
+  EXPECT_GT(flight.updater.matrix().tiles.size(), flight.streamer->active().size());
 }
 
 TEST(CutFade, WaitingForTheCutEndsAllFadesAndWhatIsTooMuchLeavesAtOnce) {

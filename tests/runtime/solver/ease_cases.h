@@ -130,6 +130,30 @@ TEST_P(Ease, WhatIsHeldTakesNoLongerThanTheNextChangeDoes) {
   for (const uint32_t slot : slow.matrix().leaves) ASSERT_LT(distance(light[slot], end[slot]), 1e-4f * (1 + end[slot].x + end[slot].y + end[slot].z));
 }
 
+// A walk of many changes, some of them while others are held back: what rows have changed may be known, or be found out by looking at all.
+TEST_P(Ease, WhatIsHeldIsTheSameWhetherOrNotItIsKnownWhichRowsHaveChanged) {
+  const TestWorld test(world());
+  CutChange known(GetParam(), test, kEaseFrames), unknown(GetParam(), test, kEaseFrames);
+  size_t changed_leaves = 0, leaves = 0;
+  for (uint64_t step = 0; step < 12; ++step) {
+    for (CutChange* change : {&known, &unknown}) {
+      ASSERT_TRUE(change->solver->iterate(step % 3 == 0 ? 2 : 1));
+      change->solver->ease(step == 7 ? kEaseFrames / 2 : kEaseFrames);
+      ASSERT_TRUE(change->assembler.update(test.randomCut(step % 2 == 0 ? 0.7 : 0.6, 4 + step % 2)));
+      if (change == &unknown) const_cast<LocalMatrix&>(change->matrix()).changed_leaves.clear();
+      changed_leaves += change->matrix().changed_leaves.size();
+      leaves += change->matrix().leaves.size();
+      ASSERT_TRUE(change->solver->update(change->matrix(), change->assembler.change()));
+      ASSERT_TRUE(change->solver->setSource(sourceOf(change->matrix())));
+      ASSERT_TRUE(change->solver->iterate(1));
+    }
+    const std::vector<Vec4> light = known.light(), right = unknown.light();
+    for (const uint32_t slot : known.matrix().leaves) ASSERT_LT(distance(light[slot], right[slot]), 1e-4f * (1 + right[slot].x + right[slot].y + right[slot].z)) << "step " << step;
+  }
+  EXPECT_GT(changed_leaves, 0u);
+  EXPECT_LT(changed_leaves, leaves);
+}
+
 TEST_P(Ease, AChangeOfSourcesIsNotHeldBack) {
   const TestWorld test(world());
   std::vector<std::vector<Vec4>> light;
