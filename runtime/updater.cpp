@@ -54,12 +54,12 @@ Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver
     : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii(), slotsFor(streamer.maxNodes())), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_, slotsFor(streamer.maxNodes())) {
   const uint32_t most = matrix().most_slots;
   const auto take = [most](auto& per_slot) {
-    per_slot.reserve(most);
+    per_slot.reserve(kMaxSlots);
     touchMemory(per_slot, most);
   };
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) take(*per_slot);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) take(*per_slot);
-  tiles_before_.reserve(most / 16 + 1);
+  tiles_before_.reserve(kMaxSlots / 16);
   entering_.set(sky_, lamps_);
 }
 

@@ -18,11 +18,12 @@ using namespace ff::runtime;
 // One world's frames in the caller's command buffers, and their light on its way back.
 class VulkanRecording final : public Recording {
  public:
-  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames, uint32_t slots) {
-    auto buffer = Buffer::create(context, uint64_t{frames} * slots * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+  // room: slots that the recorder has room for; max_slots: of any cut, of a larger re-bake too, which the recorder refuses.
+  static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames, uint32_t room, uint32_t max_slots) {
+    auto buffer = Buffer::create(context, uint64_t{frames} * room * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                                  MemoryUse::kHost);
     if (!buffer) return buffer.error();
-    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames, slots));
+    return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames, room, max_slots));
   }
 
   Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, const stream::Observers& observers) {
@@ -67,12 +68,12 @@ class VulkanRecording final : public Recording {
     uint64_t record = 0;
     uint32_t slots = 0;  // 0: nothing was recorded there
   };
-  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames, uint32_t slots)
-      : recorder_(recorder), buffer_(std::move(buffer)), regions_(frames), entered_(slots) {
-    reflected_.reserve(slots);
+  VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames, uint32_t room, uint32_t max_slots)
+      : recorder_(recorder), buffer_(std::move(buffer)), room_(room), regions_(frames), entered_(max_slots) {
+    reflected_.reserve(max_slots);
   }
 
-  uint64_t offset() const { return records_ % regions_.size() * entered_.size() * sizeof(Vec4); }
+  uint64_t offset() const { return records_ % regions_.size() * room_ * sizeof(Vec4); }
 
   // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now. Records from before
   // slots were given out anew say nothing of these: until younger ones arrive they stay as they were carried over.
@@ -107,6 +108,7 @@ class VulkanRecording final : public Recording {
 
   VulkanRecorder& recorder_;
   Buffer buffer_;
+  const uint64_t room_;  // slots of a region: what the recorder has room for
   std::vector<Region> regions_;
   std::vector<Vec4> reflected_;    // by slot, as far as it has come back
   std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
@@ -134,7 +136,7 @@ struct VulkanDevice final : FormfieldDevice_T {
       auto recorder = choice.kind == SolverKind::kGather ? makeVulkanRecorder(context, room)
                                                          : makeVulkanDenseRecorder(context, room, dense);
       if (!recorder) return withoutDevice(recorder.error());
-      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight, room.slots);
+      auto recording = VulkanRecording::create(*context, **recorder, frames_in_flight, room.slots, max_slots);
       if (!recording) return withoutDevice(recording.error());
       const DenseStats* const known = (*recorder)->dense();
       auto solver = withFallback(std::move(*recorder), known);

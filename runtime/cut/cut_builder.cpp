@@ -13,8 +13,8 @@ namespace ff::runtime {
 
 CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, bool packs, stream::Now now, uint32_t max_slots)
     : companion_(companion), packs_(packs), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light, max_slots)) {
-  for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(max_slots / 16);
-  for (auto* fading : {&fading_, &next_fading_}) fading->reserve(max_slots / 16);
+  for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
+  for (auto* fading : {&fading_, &next_fading_}) fading->reserve(kMaxSlots / 16);
   if (!background) return;
   back_ = std::make_unique<MatrixAssembler>(world, far_light, max_slots);
   front_->swap(shown_);

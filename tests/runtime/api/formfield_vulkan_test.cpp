@@ -363,6 +363,57 @@ TEST_F(FormfieldVulkan, AFullDeviceHandsOverToTheCpuAndSaysSo) {
   }
 }
 
+// What a recorder has room for is that of the world that it was made for; more is the CPU's from then on.
+TEST_F(FormfieldVulkan, AReBakeThatOutgrowsTheRecorderHandsOverToTheCpu) {
+  const auto engine = VkContext::open({.device = "cpu", .validate = true});
+  if (!engine) GTEST_SKIP() << engine.error().line();
+  FormfieldVulkanSettings s{};
+  s.size = sizeof(s);
+  s.instance = (*engine)->instance();
+  s.physical_device = (*engine)->physicalDevice();
+  s.device = (*engine)->device();
+  s.queue_family = (*engine)->queueFamily();
+  vkGetDeviceQueue(s.device, s.queue_family, 0, &s.queue);
+  ASSERT_EQ(formfieldCreateVulkanDevice(&s, &device_), FORMFIELD_OK) << formfieldError(nullptr);
+  auto pool_info = zeroed<VkCommandPoolCreateInfo>(VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO);
+  pool_info.queueFamilyIndex = s.queue_family;
+  VkCommandPool pool = VK_NULL_HANDLE;
+  ASSERT_EQ(vkCreateCommandPool(s.device, &pool_info, nullptr, &pool), VK_SUCCESS);
+  auto buffer_info = zeroed<VkCommandBufferAllocateInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO);
+  buffer_info.commandPool = pool;
+  buffer_info.commandBufferCount = 1;
+  VkCommandBuffer commands = VK_NULL_HANDLE;
+  ASSERT_EQ(vkAllocateCommandBuffers(s.device, &buffer_info, &commands), VK_SUCCESS);
+  const auto begin = zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
+  ASSERT_EQ(vkBeginCommandBuffer(commands, &begin), VK_SUCCESS);
+  const formats::TemporaryFolder folder;
+  const auto bake = [&](uint32_t side) { return formats::writeWorld(stream::makeSyntheticWorld({.side = side, .tile_nodes = 40}), folder.file("w.ffm"), 1 << 20); };
+  ASSERT_TRUE(bake(16));
+  FormfieldWorldSettings settings;
+  formfieldDefaultWorldSettings(&settings);
+  settings.radius_m = 40;
+  settings.solver = FORMFIELD_SOLVER_GATHER;
+  FormfieldWorld world = nullptr;
+  ASSERT_EQ(formfieldOpenWorld(device_, folder.file("w.ffm").c_str(), &settings, &world), FORMFIELD_OK) << formfieldError(device_);
+  EXPECT_EQ(formfieldRecord(world, commands, kAt, nullptr), FORMFIELD_OK) << formfieldError(device_);
+  ASSERT_STREQ(formfieldFallbackReason(world), "");
+  const uint32_t slots = world->updater().matrix().slots();
+  ASSERT_TRUE(bake(128));
+  ASSERT_EQ(formfieldReload(world), FORMFIELD_OK);
+  for (int i = 0; i < 5000 && !world->reloader->ready(); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  ASSERT_TRUE(world->reloader->ready()) << formfieldReloadFailure(world);
+  EXPECT_EQ(formfieldRecord(world, commands, kAt, nullptr), FORMFIELD_ERROR_UNSUPPORTED) << "the CPU has taken over";
+  EXPECT_GT(world->updater().matrix().slots(), 4 * slots);
+  EXPECT_EQ(statsOf(world).fallbacks, 1u);
+  EXPECT_EQ(formfieldFrame(world, kAt, nullptr), FORMFIELD_OK) << formfieldError(device_);
+  EXPECT_EQ(vkEndCommandBuffer(commands), VK_SUCCESS);
+  formfieldCloseWorld(world);
+  vkDestroyCommandPool(s.device, pool, nullptr);
+  formfieldDestroyDevice(device_);  // before the engine's
+  device_ = nullptr;
+  for (const std::string& message : (*engine)->messages()) ADD_FAILURE() << message;
+}
+
 TEST_F(FormfieldVulkan, RefusesHalfADevice) {
   FormfieldVulkanSettings half = settings_;
   half.queue_family = 0;
