@@ -63,12 +63,12 @@ class Updater {
   // Slots beyond the matrix are left out.
   Result<void> setDirectIrradiance(uint32_t first_slot, std::span<const Vec3> irradiance);
 
+  // k for `gather`: two; one where no light has changed for 60 frames, and nobody has jumped.
+  static constexpr int kAsLightNeeds = -1;
   // Runs one frame. iterations: k. Radiosity carries over from the last frame by node, so light lags by at most a few
   // frames after a change of the cut. An error of the solver stays until it goes: what the solver has not taken up it is told again, with every frame
   // that comes, as a matrix that is new to it. Light is then that of the last frame before, where it could be had.
   Result<FrameStats> frame(const stream::Observers& observers, int iterations);
-  // For `gather`: two; one where no light has changed for 60 frames, and nobody has jumped.
-  static constexpr int kAsLightNeeds = -1;
   Result<FrameStats> frame(Vec3 observer, Vec3 velocity, int iterations) { return frame(stream::Observers(stream::Observer{observer, velocity}), iterations); }
   // These two are for a re-bake of a world that is shown (reload.h), before the first frame. prepare(): on any thread; puts together the matrix of the
   // streamer's active tiles, and what goOnFrom() needs to know of the world shown until now.

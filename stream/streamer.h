@@ -26,8 +26,8 @@ struct StreamSettings {
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 24576;            // likewise, for active patches
-  uint32_t max_nodes = 114688;                  // of all wanted tiles together; a seventh more have room in the matrix, for what fades out
-                                                // free, so that a tile that enters finds consecutive ones
+  uint32_t max_nodes = 114688;                  // of all wanted tiles together; a seventh more have room in the matrix, for what fades out,
+                                                // and so that a tile that enters finds consecutive slots
   int decode_threads = 1;
   int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 60 m/s wants some 200 a second, also where each
                                                 // takes 0.1 s, and 32 were too few for it (RESULTS.md)

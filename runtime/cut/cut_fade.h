@@ -13,7 +13,7 @@
 namespace ff::runtime {
 
 struct FadeSettings {
-  uint32_t frames = 0;        // that light takes to follow a change of the cut, at least; 0: it does so at once, and tiles leave at once
+  uint32_t frames = 0;         // that light takes to follow a change of the cut, at least; 0: it does so at once, and tiles leave at once
   uint32_t max_nodes = 40960;  // of tiles that fade out; past it those that show least leave at once
 };
 

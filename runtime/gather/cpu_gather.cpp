@@ -47,7 +47,7 @@ class CpuGather final : public Solver {
     }
     if (all) stepped_ = false;
     if (all) held_.touch(matrix.most_slots);
-    knows_changed_ = !held_.due();  // not those of the change before
+    knows_changed_ = !held_.due();
     held_.rowsChanged(matrix.slots(), stepped_);
     shows_parents_light_ = held_.due();
     if (!all)
@@ -273,7 +273,7 @@ class CpuGather final : public Solver {
   bool before_is_clear_ = false;     // of what free slots had when they were taken
   HeldLight held_;
   bool stepped_ = false;  // to_ is what the last step came from
-  bool knows_changed_ = false;  // LocalMatrix::changed_leaves is all that has changed since it was told last what is due
+  bool knows_changed_ = false;  // LocalMatrix::changed_leaves has all that is due: no change before it still is
   std::vector<SlotRange> entering_;   // since enter(); the coarsest level of an update first
   std::vector<SlotRange> left_;       // since enter()
   bool shows_parents_light_ = false;  // of these

@@ -184,7 +184,7 @@ Result<void> VulkanGather::start() {
   if (segment_bytes_ == 0 || settings_.slots == 0 || settings_.slots > kMaxSlots ||
       settings_.frames_in_flight == 0 || settings_.tiles == 0 || settings_.tiles > kMaxTiles)
     return Error{ErrorCode::kUsage, "", "vulkan", "no room for slots, tiles or entries, or no frame in flight",
-                 "give at least " + std::to_string(align) + " bytes, 1 to 262144 slots, 1 to 16383 tiles and 1 frame"};
+                 "give at least " + std::to_string(align) + " bytes, 1 to " + std::to_string(kMaxSlots) + " slots, 1 to " + std::to_string(kMaxTiles) + " tiles and 1 frame"};
   segments_ = static_cast<uint32_t>(groupsOf(settings_.entry_bytes, segment_bytes_));
   if (settings_.packed_bytes > range || settings_.pages * kPageBytes > range)
     return Error{ErrorCode::kUsage, "", "vulkan",
