@@ -24,6 +24,7 @@ class EnteringLight final : public CutCompanion {
   struct Nodes {
     std::vector<Vec3> lamps;                // irradiance, W/m2
     std::vector<Vec4> emission, source;     // as Updater has them by slot; source: without direct light
+    std::vector<uint8_t> emits;             // by tile: emission is other than 0 somewhere
     bool is_light = false;                  // all of it (sound_light.h)
     uint64_t number = 0;                    // of the sky and lamps that it is of
   };

@@ -51,7 +51,7 @@ Vec3 originStep(const formats::WorldInfo& from, const formats::WorldInfo& to) {
 
 Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver& solver, FarLight far_light, bool background, const FadeSettings& fade, uint32_t max_applied_tiles,
                  stream::Now now)
-    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii(), slotsFor(streamer.maxNodes())), budget_(world, max_applied_tiles), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_, slotsFor(streamer.maxNodes())) {
+    : world_(world), streamer_(streamer), solver_(solver), now_(std::move(now)), lamps_(world.info()), fade_(fade, streamer.radii()), cut_(world, far_light, background, &entering_, solver.resolvesRows(), now_, {slotsFor(streamer.maxNodes()), fade.max_nodes, max_applied_tiles}) {
   const uint32_t most = matrix().most_slots;
   const auto take = [most](auto& per_slot) {
     per_slot.reserve(kMaxSlots);
@@ -59,6 +59,7 @@ Updater::Updater(const formats::World& world, stream::Streamer& streamer, Solver
   };
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) take(*per_slot);
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) take(*per_slot);
+  take(emits_);
   tiles_before_.reserve(kMaxSlots / 16);
   entering_.set(sky_, lamps_);
 }
@@ -140,18 +141,18 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   if (lamps_changed_) entering_.set(sky_, lamps_);
   const auto changed = followCut();
   if (!changed) return changed.error();
-  const bool relit = sky_changed_ || light_changed_ || lamps_changed_;
-  if (relit)
+  const bool lights = relit();
+  if (lights)
     if (auto lit = relightAll(); !lit) return lit.error();
-  rested_frames_ = relit ? 0 : rested_frames_ + 1;
+  rested_frames_ = lights ? 0 : rested_frames_ + 1;
   FrameStats stats = counts_;
   stats.matrix_changed = *changed;
   stats.light_zeroed = light_zeroed_;
   stats.applied_tiles = applied_tiles_;
-  stats.waiting_tiles = budget_.waiting();
+  stats.waiting_tiles = cut_.waiting();
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
-  fade_.advance(matrix(), observers);
+  fade_.advance(observers);
   const auto iterated = solver_.iterate(iterations != kAsLightNeeds ? iterations : rested_frames_ < kRestFrames ? kSteps : 1);
   cut_.begin();
   if (!iterated) return iterated.error();
@@ -161,16 +162,16 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
 }
 
 Result<void> Updater::prepare(const formats::WorldInfo& before) {
-  for (int turn = 0; turn < 2; ++turn) {  // asks for it; takes it up
-    if (auto built = cut_.next(streamer_.active()); !built) return built;
-    cut_.await();
-  }
+  if (auto asked = cut_.ask({.active = streamer_.activeList(), .whole = true}); !asked) return asked.error();
+  cut_.await();
+  if (auto taken = cut_.take(); !taken) return taken.error();
   const LocalMatrix& m = matrix();
   tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   for (auto* tiles : {&whole_.entered, &whole_.rows}) tiles->reserve(m.tiles.size());
   // The pages of these are the system's to find now, not within a frame.
   for (auto* per_slot : {&source_, &emission_, &radiosity_, &before_}) per_slot->assign(m.slots(), {});
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->assign(m.slots(), {});
+  emits_.assign(m.slots(), 0);
   names_.clear();
   for (uint32_t t = 0; t < m.tiles.size(); ++t) names_.push_back({m.tiles[t].id.level, m.packed[t].strip->tile.name(), t});
   std::ranges::sort(names_, {}, &Named::key);
@@ -243,25 +244,35 @@ void Updater::takeLight(Updater& before) {
 // Whether the matrix has changed.
 Result<bool> Updater::followCut() {
   const bool whole = std::exchange(await_cut_, false) || !started_;
-  if (whole || missed_)
-    cut_.await();
-  else if (cut_.reads())
-    return false;  // it has had no core since the last frame
+  if (missed_) cut_.await();
   bool changed = false;
   if (const bool jumped = std::exchange(jumped_, false); whole || jumped) {
     fade_.finish();
     rested_frames_ = 0;
   }
-  const std::span<const stream::StripPtr> all = fade_.cut(streamer_.active());
-  const std::span<const stream::StripPtr> wanted = budget_.limit(all, whole ? all : cut_.latest(), observers_);
   do {
     if (whole) cut_.await();
-    if (auto followed = cut_.next(wanted, fade_.fading()); !followed) return followed.error();
-    if (!cut_.change().any && !missed_) continue;
-    changed = true;
-    if (auto taken = takeUpChange(whole); !taken) return taken.error();
-  } while (whole && !cut_.holds(wanted));
+    if (auto asked = askForCut(whole); !asked) return asked.error();
+    const auto taken = cut_.take();
+    if (!taken) return taken.error();
+    if (cut_.change().any || missed_) {
+      changed = true;
+      if (auto followed = takeUpChange(whole); !followed) return followed.error();
+    } else if (*taken) {  // the same tiles, of which others fade out
+      fade_.follow(matrix(), cut_.fading(), {}, observers_);
+    }
+    if (*taken && cut_.inBackground())
+      if (auto asked = askForCut(whole); !asked) return asked.error();
+  } while (whole && !cut_.holds(streamer_.active()));
+  if (whole) fade_.asked();  // nothing is there that would have to go
   return changed;
+}
+
+Result<void> Updater::askForCut(bool whole) {
+  const auto asked = cut_.ask({streamer_.activeList(), fade_.own(), fade_.oneHasGone(), observers_, whole});
+  if (!asked) return asked.error();
+  if (*asked) fade_.asked();
+  return {};
 }
 
 // whole: nothing fades in.
@@ -283,10 +294,13 @@ Result<void> Updater::takeUpChange(bool whole) {
   applied_tiles_ += static_cast<uint32_t>(change.entered.size());
   for (auto* per_slot : {&source_, &emission_, &radiosity_}) per_slot->resize(m.slots());
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->resize(m.slots());
-  if (change.renumbered)
+  emits_.resize(m.slots());
+  if (change.renumbered) {
     std::fill(emission_.begin(), emission_.end(), Vec4{});
-  else
-    for (const SlotRange& range : change.left) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
+    std::fill(emits_.begin(), emits_.end(), uint8_t{0});
+  } else {
+    for (const SlotRange& range : change.left) clearEmission(range);
+  }
   lightEntered(change.entered);
   ++emission_change_;
   if (m.ambient_slot != kNoSlot) source_[m.ambient_slot] = {ambient_.x, ambient_.y, ambient_.z, 0};
@@ -296,7 +310,7 @@ Result<void> Updater::takeUpChange(bool whole) {
   counts_.entries = m.used_entries;
   for (const SlotRange& range : m.tiles)
     if (range.id.level == 0) counts_.level0_leaves += range.nodes;
-  fade_.follow(m, whole || change.renumbered ? std::span<const uint32_t>() : change.entered, observers_);
+  fade_.follow(m, cut_.fading(), whole || change.renumbered ? std::span<const uint32_t>() : change.entered, observers_);
   solver_.ease(fade_.easeFrames());
   tiles_before_.assign(m.tiles.begin(), m.tiles.end());
   told_ = missed_ ? &wholeMatrix() : &change;
@@ -314,14 +328,15 @@ Result<void> Updater::tellSolver(const MatrixChange& change, bool goes_on) {
   if (auto updated = solver_.update(matrix(), change); !updated) return updated;
   if (goes_on)
     if (auto set = solver_.setRadiosity(before_); !set) return set;
-  return change.renumbered || matrix().ambient_slot != kNoSlot ? solver_.setSource(source_) : solver_.setEnteredSource(source_, change);
+  return change.renumbered || matrix().ambient_slot != kNoSlot ? solver_.setSource(source_) : solver_.setEnteredSource(source_, change, !relit());
 }
 
 // Direct light is asked for new tiles only; the others keep theirs.
 void Updater::lightEntered(std::span<const uint32_t> entered) {
   const EnteringLight::Nodes* const made = entering_.nodes();
   size_t at = 0;
-  for (const uint32_t tile : entered) {
+  for (size_t k = 0; k < entered.size(); ++k) {
+    const uint32_t tile = entered[k];
     const SlotRange& range = matrix().tiles[tile];
     if (!made || !made->is_light) {
       light(tile, true, true);
@@ -329,7 +344,8 @@ void Updater::lightEntered(std::span<const uint32_t> entered) {
     }
     const auto copy = [&](const auto& from, auto& to) { std::copy_n(from.begin() + static_cast<ptrdiff_t>(at), range.nodes, to.begin() + range.first_slot); };
     copy(made->lamps, lamp_irradiance_);
-    copy(made->emission, emission_);
+    if (made->emits[k]) copy(made->emission, emission_);
+    emits_[range.first_slot] = made->emits[k];
     if (direct_light_) {
       light(tile, true, false);
     } else {
@@ -362,10 +378,13 @@ void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
   }
   if (ask_lamps) {
     lamps_.irradiance(strip.lamps, lamps);
+    bool emits = false;
     for (uint32_t i = 0; i < range.nodes; ++i) {
       const Vec3 m = lamps_.emission(strip.nodes[i]);
       emission_[range.first_slot + i] = {m.x, m.y, m.z, 0};
+      emits |= m != Vec3{};
     }
+    emits_[range.first_slot] = emits;
   }
   for (uint32_t i = 0; i < range.nodes; ++i) {
     const formats::Node& node = strip.nodes[i];
@@ -373,6 +392,10 @@ void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
     if (!isLight(range.first_slot + i, ", with lamps and the sky,", m)) m = {};
     source_[range.first_slot + i] = {m.x, m.y, m.z, 0};
   }
+}
+
+void Updater::clearEmission(const SlotRange& range) {
+  if (std::exchange(emits_[range.first_slot], uint8_t{0})) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
 }
 
 // Counts what is no light.

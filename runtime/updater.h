@@ -8,7 +8,6 @@
 #include <tuple>
 #include <vector>
 
-#include "runtime/cut/cut_budget.h"
 #include "runtime/cut/cut_builder.h"
 #include "runtime/cut/cut_fade.h"
 #include "runtime/entering_light.h"
@@ -108,12 +107,15 @@ class Updater {
 
  private:
   Result<bool> followCut();
+  Result<void> askForCut(bool whole);
   Result<void> takeUpChange(bool whole);
   void lightEntered(std::span<const uint32_t> entered);
   Result<void> tellSolver(const MatrixChange& change, bool goes_on);
   const MatrixChange& wholeMatrix();
   void takeLight(Updater& before);
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
+  void clearEmission(const SlotRange& range);
+  bool relit() const { return sky_changed_ || light_changed_ || lamps_changed_; }  // all sources are to be made anew
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;
   Result<void> relightAll();
@@ -127,11 +129,11 @@ class Updater {
   DirectLight direct_light_;
   EnteringLight entering_;
   CutFade fade_;
-  CutBudget budget_;
-  CutBuilder cut_;  // reads lists of both
+  CutBuilder cut_;
   Vec3 ambient_;
   stream::Observers observers_;
-  std::vector<Vec4> source_, emission_;   // per slot
+  std::vector<Vec4> source_, emission_;   // per slot; of free slots emission_ is 0
+  std::vector<uint8_t> emits_;            // by a tile's first slot: emission_ of its slots may be other than 0
   std::vector<Vec3> direct_irradiance_;   // per slot, W/m2
   bool has_direct_ = false;               // it may be other than 0
   std::vector<Vec3> lamp_irradiance_;     // likewise

@@ -19,9 +19,7 @@ namespace {
 class BackgroundStreamer final : public Streamer {
  public:
   // Throws std::system_error where no thread can be started, and leaves `of` alone then.
-  BackgroundStreamer(std::unique_ptr<Streamer>& of, size_t max_active) : Streamer({of->radii().begin(), of->radii().end()}, of->maxNodes()), stats_taken_(of->stats()), stats_(stats_taken_) {
-    for (auto* list : {&active_, &ready_, &making_}) list->reserve(max_active);
-    active_.assign(of->active().begin(), of->active().end());
+  explicit BackgroundStreamer(std::unique_ptr<Streamer>& of) : Streamer({of->radii().begin(), of->radii().end()}, of->maxNodes()), active_(of->activeList()), stats_taken_(of->stats()), stats_(stats_taken_) {
     expected_.reserve(kMaxObservers);
     Streamer* const plain = of.get();
     thread_ = startThread([this, plain] { work(*plain); });
@@ -59,7 +57,7 @@ class BackgroundStreamer final : public Streamer {
   }
   std::span<const Hint> expected() const override { return expected_; }
   void setLead(const Lead& lead) override { lead_ = lead; }
-  std::span<const StripPtr> active() const override { return active_; }
+  const StripList& activeList() const override { return active_; }
 
   Result<void> settle() override {
     std::unique_lock lock(mutex_);
@@ -107,7 +105,7 @@ class BackgroundStreamer final : public Streamer {
     taken_ = done_;
     if (!fresh_) return false;
     fresh_ = false;
-    active_.swap(ready_);  // the thread lets go of the list before
+    active_ = std::move(ready_);
     return true;
   }
 
@@ -125,11 +123,9 @@ class BackgroundStreamer final : public Streamer {
       if (stop_) return;
       looks = asked() ? 0 : looks + 1;
       if (looks > 0 && !tiles_pending) continue;
-      if (!fresh_) making_.swap(ready_);
       const Asked now = asked_;
       asked_.settles = asked_.hinted = false;
       lock.unlock();
-      making_.clear();
       bool changed = now.settles;
       std::optional<Error> failure;
       try {
@@ -141,7 +137,6 @@ class BackgroundStreamer final : public Streamer {
       } catch (const std::bad_alloc&) {  // of a table that outgrows its size: what is there stands, and the next frame asks again
         failure = Error{ErrorCode::kIo, "", "", "out of memory while streaming", "close other programs"};
       }
-      if (changed) making_.assign(of.active().begin(), of.active().end());
       const StreamStats stats = of.stats();
       tiles_pending = stats.pending_tiles > 0;
       lock.lock();
@@ -150,7 +145,7 @@ class BackgroundStreamer final : public Streamer {
       done_ = now.number;
       if (now.settles) failure_ = failure;
       if (changed) {
-        making_.swap(ready_);
+        ready_ = of.activeList();
         fresh_ = true;
       }
       settled_.notify_all();
@@ -158,7 +153,7 @@ class BackgroundStreamer final : public Streamer {
   }
 
   // The caller's.
-  std::vector<StripPtr> active_;
+  StripList active_;
   std::vector<Hint> expected_;
   bool hinted_ = false;  // expected_ was not handed over
   Observers observers_, looked_at_taken_;
@@ -166,14 +161,12 @@ class BackgroundStreamer final : public Streamer {
   uint64_t taken_ = 0;   // number of what stats_taken_ came of
   bool updated_ = false;  // ever, whether the thread was told of it or not
   Lead lead_;
-  // The thread's, while it does not hold the lock.
-  std::vector<StripPtr> making_;
   // What is handed over.
   mutable std::mutex mutex_;
   std::condition_variable asked_again_, settled_;
   Asked asked_;
-  std::vector<StripPtr> ready_;
-  bool fresh_ = false;   // ready_ was not taken up; else it is what was active before
+  StripList ready_;
+  bool fresh_ = false;   // ready_ was not taken up
   uint64_t done_ = 0;    // number of what was asked last and is done
   StreamStats stats_;
   Observers looked_at_;  // by stats_
@@ -185,8 +178,8 @@ class BackgroundStreamer final : public Streamer {
 
 }  // namespace
 
-std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active) try {
-  return std::make_unique<BackgroundStreamer>(of, max_active);
+std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of) try {
+  return std::make_unique<BackgroundStreamer>(of);
 } catch (const std::system_error&) {
   return of;
 }

@@ -1,6 +1,5 @@
 // A streamer that works on a thread of its own, so that a frame only hands over where its observers are and takes up a list that is ready.
 #pragma once
-#include <cstddef>
 #include <memory>
 
 #include "stream/streamer.h"
@@ -8,8 +7,7 @@
 namespace ff::stream {
 
 // What update() brings is of the observers of the call before; who goes farther at once than patches are wanted is pending until that place was looked at.
-// `of` is nobody else's. max_active: tiles that are active at any time, at most.
-// Returns `of` itself where the system has no thread.
-std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of, size_t max_active);
+// `of` is nobody else's. Returns `of` itself where the system has no thread.
+std::unique_ptr<Streamer> inBackground(std::unique_ptr<Streamer> of);
 
 }  // namespace ff::stream

@@ -51,7 +51,8 @@ class StreamerImpl final : public Streamer {
                 RateLimit(settings.read_bytes_per_second), std::move(now)),
         ahead_bytes_(settings.ahead_bytes),
         hint_bytes_(settings.hint_bytes),
-        memory_bytes_(settings.memory_bytes) {
+        memory_bytes_(settings.memory_bytes),
+        lists_(wanted_.maxWanted()) {
     if (settings.ahead_seconds > 0 || settings.hint_bytes > 0) planner_.emplace(world, settings, top);
     for (const formats::ChunkPtr& chunk : top) wanted_.add(chunk);
     stats_.reach = {settings.radius_m, settings.growth};
@@ -61,8 +62,6 @@ class StreamerImpl final : public Streamer {
     missing_.reserve(wanted_.maxWanted() + PathPlanner::kMaxTiles);
     is_ahead_.reserve(PathPlanner::kMaxTiles);
     hints_.reserve(kMaxObservers);
-    active_.reserve(wanted_.maxWanted());
-    next_active_.reserve(wanted_.maxWanted());
   }
 
   Result<void> loadTop(std::span<const formats::ChunkPtr> top) {
@@ -85,8 +84,6 @@ class StreamerImpl final : public Streamer {
     return {};
   }
 
-  size_t maxActive() const { return wanted_.maxWanted(); }
-
   using Streamer::update;
   bool update(const Observers& observers) override {
     const bool turned = !(observers == observers_), moved = !started_ || observers.movedBy(0, observers_) || (lead_.shown_seconds > 0 && turned);
@@ -94,6 +91,7 @@ class StreamerImpl final : public Streamer {
     const bool hinted = std::exchange(hinted_, false) || forgetHints(hints_);
     if (planner_ && (moved || turned || hinted)) planner_->aim(observers, hints_, loader_.latencySeconds(), lead_);
     const bool planned = planner_ && planner_->fresh();
+    lists_.forgetIdle();
     if (!moved && !loader_.anyArrived() && !retries && !planned) return false;
     started_ = true;
     observers_ = observers;
@@ -117,7 +115,7 @@ class StreamerImpl final : public Streamer {
     lead_.active_seconds = std::clamp(lead.active_seconds, lead_.turn_seconds, 1.0f);
     lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, 1.0f);
   }
-  std::span<const StripPtr> active() const override { return active_; }
+  const StripList& activeList() const override { return active_; }
 
   Result<void> settle() override {
     for (;;) {
@@ -143,7 +141,7 @@ class StreamerImpl final : public Streamer {
     stats.resident_tiles = cache_.tiles();
     stats.wanted_tiles = static_cast<uint32_t>(previous_.size());
     stats.ahead_tiles = static_cast<uint32_t>(ahead_);
-    stats.late_tiles = stats.wanted_tiles - static_cast<uint32_t>(active_.size());
+    stats.late_tiles = stats.wanted_tiles - static_cast<uint32_t>(active_->size());
     const StripLoader::Backlog backlog = loader_.backlog();
     stats.pending_tiles = backlog.queued + backlog.under_way + backlog.arrived;
     return stats;
@@ -284,25 +282,25 @@ class StreamerImpl final : public Streamer {
 
   // From the top down, so that ancestors are decided first. Returns whether the set has changed.
   bool chooseActive() {
-    next_active_.clear();
+    const auto next = lists_.next();
     for (size_t i = previous_.size(); i-- > 0;) {
       const StripPtr& strip = cache_.find(previous_[i]);
-      if (strip && canStand(strip->tile)) next_active_.push_back(strip);
+      if (strip && canStand(strip->tile, *next)) next->push_back(strip);
     }
-    std::reverse(next_active_.begin(), next_active_.end());
-    if (next_active_ == active_) return false;
-    active_.swap(next_active_);
+    std::ranges::reverse(*next);
+    if (*next == *active_) return false;
+    active_ = next;
     return true;
   }
 
-  // Whether the tiles above are in next_active_, but for those that failed.
-  bool canStand(const formats::TileRef& tile) const {
+  // Whether the tiles above are in `active`, the last tiles first, but for those that failed.
+  bool canStand(const formats::TileRef& tile, std::span<const StripPtr> active) const {
     const formats::Chunk* chunk = tile.chunk.get();
     for (uint32_t at = tile.index; !chunk->isTop();) {
       const TileId parent{chunk->level + 1, chunk->tiles[at].parent_tile};
       const auto descends = [](const StripPtr& s, TileId other) { return s->id > other; };
-      const auto found = std::lower_bound(next_active_.begin(), next_active_.end(), parent, descends);
-      if (found != next_active_.end() && (*found)->id == parent) return true;
+      const auto found = std::lower_bound(active.begin(), active.end(), parent, descends);
+      if (found != active.end() && (*found)->id == parent) return true;
       if (!givenUp(failures_, parent)) return false;
       chunk = chunk->parent.get();
       at = parent.tile - chunk->firstTile();
@@ -349,7 +347,6 @@ class StreamerImpl final : public Streamer {
   std::vector<Missing> missing_;
   Failures failures_;                  // of tiles wanted now or ahead
   Failures chunk_failures_;            // by their first tile
-  std::vector<StripPtr> active_, next_active_;
   StreamStats stats_;
   std::unique_ptr<TileSource> source_;
   StripLoader loader_;  // its reads end before the source goes
@@ -359,6 +356,8 @@ class StreamerImpl final : public Streamer {
   bool hinted_ = false;  // hints_ are others than the planner has
   std::optional<PathPlanner> planner_;
   std::unique_ptr<PathPlanner::Plan> plan_ = std::make_unique<PathPlanner::Plan>(), next_plan_ = std::make_unique<PathPlanner::Plan>();
+  StripLists lists_;
+  StripList active_ = lists_.next();
   std::vector<uint8_t> is_ahead_;  // by number in plan_->tiles: there is memory for it, so that it is kept and read
   size_t ahead_ = 0;               // so many of them
 };
@@ -427,8 +426,7 @@ Result<std::unique_ptr<Streamer>> Streamer::create(const formats::World& world, 
   auto streamer = std::make_unique<StreamerImpl>(world, settings, std::move(source), top, std::move(now));
   if (auto loaded = streamer->loadTop(top); !loaded) return loaded.error();
   if (!settings.background) return std::unique_ptr<Streamer>(std::move(streamer));
-  const size_t most = streamer->maxActive();
-  return inBackground(std::move(streamer), most);
+  return inBackground(std::move(streamer));
 } catch (const std::system_error& e) {
   return Error{ErrorCode::kIo, world.path(), "", std::string("cannot start a thread: ") + e.what(), "close other programs, or raise the limit on processes"};
 } catch (const std::bad_alloc&) {

@@ -13,6 +13,7 @@
 #include "stream/observers.h"
 #include "stream/rate_limit.h"
 #include "stream/resident_strip.h"
+#include "stream/strip_lists.h"
 #include "stream/tile_source.h"
 
 namespace ff::stream {
@@ -98,7 +99,9 @@ class Streamer {
   // is active, or could not be read and would be active else: so the ancestors of an active node are active too, but for those that failed. Valid until the next update();
   // the strips themselves live as long as someone holds them, and are freed by one of the streamer's threads some time
   // after the last has let go.
-  virtual std::span<const StripPtr> active() const = 0;
+  std::span<const StripPtr> active() const { return *activeList(); }
+  // The same list, to hold: another one whenever the set has changed.
+  virtual const StripList& activeList() const = 0;
   // Blocks until nothing is pending for the last observers and their paths (tests, headless pictures), calling update() as it goes.
   virtual Result<void> settle() = 0;
   virtual StreamStats stats() const = 0;

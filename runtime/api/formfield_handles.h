@@ -102,8 +102,8 @@ struct FormfieldWorld_T {
       return now().update(m, c);
     }
     ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
-    ff::Result<void> setEnteredSource(std::span<const ff::runtime::Vec4> source, const ff::runtime::MatrixChange& c) override {
-      return now().setEnteredSource(source, c);
+    ff::Result<void> setEnteredSource(std::span<const ff::runtime::Vec4> source, const ff::runtime::MatrixChange& c, bool stays) override {
+      return now().setEnteredSource(source, c, stays);
     }
     // A frame is being recorded, and update() has not just fallen back: nothing waits for the device.
     bool records() const { return world.recording && !world.solver.fellBack(); }

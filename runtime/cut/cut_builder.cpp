@@ -5,18 +5,18 @@
 #include <system_error>
 #include <utility>
 
-#include "runtime/cut/strip_list.h"
 #include "stream/latency.h"
 #include "stream/start_threads.h"
 
 namespace ff::runtime {
 
-CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, bool packs, stream::Now now, uint32_t max_slots)
-    : companion_(companion), packs_(packs), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light, max_slots)) {
-  for (auto* cut : {&cut_, &next_cut_, &spare_}) cut->reserve(kMaxSlots / 16);
+CutBuilder::CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion, bool packs, stream::Now now, const CutLimits& limits)
+    : companion_(companion), packs_(packs), now_(std::move(now)), front_(std::make_unique<MatrixAssembler>(world, far_light, limits.max_slots)), choice_(limits.max_fading_nodes, limits.max_slots), budget_(world, limits.max_entering_tiles) {
+  for (auto* cut : {&cut_, &next_cut_}) cut->reserve(kMaxSlots / 16);
   for (auto* fading : {&fading_, &next_fading_}) fading->reserve(kMaxSlots / 16);
+  asked_own_.reserve(kMaxSlots / 16);
   if (!background) return;
-  back_ = std::make_unique<MatrixAssembler>(world, far_light, max_slots);
+  back_ = std::make_unique<MatrixAssembler>(world, far_light, limits.max_slots);
   front_->swap(shown_);
   try {
     thread_ = stream::startThread([this] { work(); });
@@ -58,9 +58,8 @@ void CutBuilder::work() {
   while (awaitAsked() != kStop) {
     Result<void> built;
     try {
-      takeOver(next_cut_, asked_, spare_);
-      next_fading_.assign(asked_fading_.begin(), asked_fading_.end());
       state_ = kBuilding;
+      choose();
       if (renumbered_) back_->renumberNext();
       if (!cut_.empty()) built = back_->update(cut_, fading_);  // what the front has taken up since
       renumbered_ = false;
@@ -78,51 +77,67 @@ void CutBuilder::work() {
   }
 }
 
-void CutBuilder::start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
-  started_ = now_();
-  asked_ = active;
-  asked_fading_ = fading;
-  renumber_ = std::exchange(renumber_next_, false);
-  state_ = kAsked;
+// Into next_cut_ and next_fading_.
+void CutBuilder::choose() {
+  choice_.choose(*asked_active_, cut_, matrix().tiles, asked_own_, next_cut_, next_fading_);
+  if (asked_whole_) return;
+  const std::span<const stream::StripPtr> limited = budget_.limit(next_cut_, cut_, asked_observers_);
+  if (limited.size() < next_cut_.size()) next_cut_.assign(limited.begin(), limited.end());
 }
 
-Result<void> CutBuilder::take() {
+Result<bool> CutBuilder::ask(const CutWish& wish) {
+  if (state_ != kIdle) return false;
+  const bool same = wish.whole ? holds(*wish.active) : wish.active == asked_active_ && !wish.one_has_gone && waiting_ == 0 && !renumber_next_;
+  if (same) return false;
+  started_ = now_();
+  asked_active_ = wish.active;
+  asked_own_.assign(wish.own.begin(), wish.own.end());
+  asked_observers_ = wish.observers;
+  asked_whole_ = wish.whole;
+  renumber_ = std::exchange(renumber_next_, false);
+  if (back_) {
+    state_ = kAsked;
+    return true;
+  }
+  choose();
+  if (renumber_) front_->renumberNext();
+  if (auto updated = front_->update(next_cut_, next_fading_); !updated) {
+    asked_active_.reset();  // so that it is asked for once more
+    return updated.error();
+  }
+  if (companion_ && front_->change().any) companion_->build(*front_);
+  state_ = kReady;
+  return true;
+}
+
+Result<bool> CutBuilder::take() {
+  change_ = &none_;
+  if (state_ != kReady) return false;
   state_ = kIdle;
-  if (error_) return *error_;
-  latency_seconds_ = stream::longestOfLate(latency_seconds_, std::chrono::duration<float>(now_() - started_).count());
-  front_->swap(shown_);
-  back_->swap(shown_);
-  front_.swap(back_);
+  if (error_) {
+    asked_active_.reset();  // so that it is asked for once more
+    return *error_;
+  }
+  if (back_) {
+    latency_seconds_ = stream::longestOfLate(latency_seconds_, std::chrono::duration<float>(now_() - started_).count());
+    front_->swap(shown_);
+    back_->swap(shown_);
+    front_.swap(back_);
+  }
   cut_.swap(next_cut_);
   fading_.swap(next_fading_);
+  waiting_ = asked_whole_ ? 0 : budget_.waiting();
   renumbered_ = renumber_;
   change_ = &front_->change();
-  if (companion_) companion_->take();
-  return {};
-}
-
-Result<void> CutBuilder::next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading) {
-  change_ = &none_;
-  if (!back_) {
-    if (std::exchange(renumber_next_, false)) front_->renumberNext();
-    auto updated = front_->update(active, fading);
-    change_ = &front_->change();
-    if (!updated) return updated;
-    if (companion_ && change_->any) companion_->build(*front_), companion_->take();
-    if (!std::ranges::equal(active, cut_)) takeOver(cut_, active, spare_);
-    return {};
-  }
-  if (state_ == kReady)
-    if (auto taken = take(); !taken) return taken;
-  if (state_ == kIdle && !holds(active)) start(active, fading);
-  return {};
+  if (companion_ && change_->any) companion_->take();
+  return true;
 }
 
 void CutBuilder::await() const {
-  if (reads()) wake();
+  if (state_.load() == kAsked) wake();
   for (uint32_t seen = state_.load(); seen == kAsked || seen == kBuilding; seen = state_.load()) state_.wait(seen);
 }
 
-bool CutBuilder::holds(std::span<const stream::StripPtr> active) const { return !back_ || (!renumber_next_ && std::ranges::equal(active, cut_)); }
+bool CutBuilder::holds(std::span<const stream::StripPtr> active) const { return !renumber_next_ && std::ranges::equal(active, cut_); }
 
 }  // namespace ff::runtime

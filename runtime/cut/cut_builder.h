@@ -1,4 +1,4 @@
-// The local matrix of the cut, brought up to date within a frame or, while the one before is in use, on a thread of its own: then a frame only
+// The cut, and its local matrix: chosen and brought up to date within a frame or, while the ones before are in use, on a thread of its own: then a frame only
 // swaps. For that two assemblers take turns. Each takes up every change in the same order, so that a node has the same slot in both.
 #pragma once
 #include <atomic>
@@ -11,8 +11,11 @@
 #include <thread>
 #include <vector>
 
+#include "runtime/cut/cut_budget.h"
+#include "runtime/cut/cut_choice.h"
 #include "runtime/cut/matrix_assembler.h"
 #include "stream/rate_limit.h"
+#include "stream/strip_lists.h"
 
 namespace ff::runtime {
 
@@ -24,40 +27,57 @@ class CutCompanion {
   virtual void take() = 0;
 };
 
+struct CutLimits {
+  uint32_t max_slots = kMaxSlots;     // as MatrixAssembler
+  uint32_t max_fading_nodes = 0;      // as CutChoice
+  uint32_t max_entering_tiles = 0;    // as CutBudget
+};
+
+// What a cut is chosen by.
+struct CutWish {
+  stream::StripList active;                  // as Streamer::activeList()
+  std::span<const float> own{};              // by tile of the matrix, how much of what it shows is its own; empty: nothing fades out
+  bool one_has_gone = false;                 // a tile that fades out has come to its end
+  stream::Observers observers{};             // the nearest to these enters first
+  bool whole = false;                        // all that is active, whatever the limits
+};
+
 // One thread calls. Nothing but a matrix that outgrows its capacity takes memory there.
 class CutBuilder {
  public:
   // World and companion must outlive it. background: there is a thread; where the system has none, as without. packs: it writes changes for a device, too
-  // (MatrixChange::packed). now: the time that latencySeconds() counts by. max_slots: as MatrixAssembler.
+  // (MatrixChange::packed). now: the time that latencySeconds() counts by.
   CutBuilder(const formats::World& world, FarLight far_light, bool background, CutCompanion* companion = nullptr, bool packs = false, stream::Now now = std::chrono::steady_clock::now,
-             uint32_t max_slots = kMaxSlots);
+             const CutLimits& limits = {});
   ~CutBuilder();
 
-  // Stays where it is; changes with next() only.
+  // Stays where it is; with a background it changes with take() only, without one with ask().
   const LocalMatrix& matrix() const { return back_ ? shown_ : front_->matrix(); }
-  // What the last next() changed.
+  // What the last take() changed.
   const MatrixChange& change() const { return *change_; }
   // By number in LocalMatrix::tiles.
   const stream::ResidentStrip& strip(size_t tile) const { return front_->strip(tile); }
 
-  // Without a background: brings the matrix to the cut `active`. With one: takes up what is ready, which change() then says, and has `active` built, from
-  // begin() or await() on, if nothing is under way; what a caller brings in the meantime waits until it calls again. Both lists then stay as they are while
-  // reads(). Errors: as MatrixAssembler::update. fading: as MatrixAssembler::update.
-  Result<void> next(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading = {});
+  // Has the cut chosen and built, if it may be another than the last one asked for, and nothing is under way or ready; what a caller wishes in the meantime waits until it calls
+  // again. Without a background it is ready then; with one it is from begin() or await() on that the thread builds. Whether it is asked for. Errors, without a background: as
+  // MatrixAssembler::update.
+  Result<bool> ask(const CutWish& wish);
+  // Takes up what is ready, and says whether anything was: a cut, of which the matrix may be as it was, as change() then says. Errors, of the background: as MatrixAssembler::update.
+  Result<bool> take();
   // The thread finds out by itself within stream::kLook; one that sleeps is woken, which may take the caller's core for a while: so a frame does it when all else is done.
   void begin() const {
-    if (reads() && sleeps_) wake();
+    if (state_.load() == kAsked && sleeps_) wake();
   }
-  // Whether the thread has yet to read the lists of the last next(): counts of strips are changed there.
-  bool reads() const { return state_.load() == kAsked; }
-  // From a cut's first call of next() to the one that took it up, s: longestOfLate(); 0 without a background.
+  bool inBackground() const { return back_ != nullptr; }
+  // From a cut's ask() to the take() of it, s: longestOfLate(); 0 without a background.
   float latencySeconds() const { return latency_seconds_; }
   // Blocks until nothing is being built.
   void await() const;
-  // Whether the matrix is that of a cut.
+  // Whether the matrix is that of all that is active, and of nothing else.
   bool holds(std::span<const stream::StripPtr> active) const;
-  // The cut that was last begun to be put together, whether or not the matrix is there. Not while reads().
-  std::span<const stream::StripPtr> latest() const { return state_ == kIdle ? cut_ : next_cut_; }
+  // Of the cut of the matrix: what fades out, sorted, and tiles that max_entering_tiles kept back.
+  std::span<const FadingTile> fading() const { return fading_; }
+  uint32_t waiting() const { return waiting_; }
   void renumberNext() { renumber_next_ = true; }  // for tests
 
  private:
@@ -65,8 +85,7 @@ class CutBuilder {
   void work();
   uint32_t awaitAsked();
   void wake() const;
-  void start(std::span<const stream::StripPtr> active, std::span<const FadingTile> fading);
-  Result<void> take();
+  void choose();
 
   CutCompanion* const companion_;
   const bool packs_;
@@ -78,12 +97,16 @@ class CutBuilder {
   bool renumber_next_ = false;
   std::chrono::steady_clock::time_point started_;
   float latency_seconds_ = 0;
+  uint32_t waiting_ = 0;
   // Handed to the thread and back by state_.
-  std::span<const stream::StripPtr> asked_;        // of the last next(); these two until the thread has made them next_cut_ and next_fading_
-  std::span<const FadingTile> asked_fading_;
+  stream::StripList asked_active_;  // these four as CutWish has them
+  std::vector<float> asked_own_;
+  stream::Observers asked_observers_;
+  bool asked_whole_ = false;
+  CutChoice choice_;
+  CutBudget budget_;
   std::vector<stream::StripPtr> cut_, next_cut_;   // the front's; the one being built
   std::vector<FadingTile> fading_, next_fading_;  // of these
-  std::vector<stream::StripPtr> spare_;            // of takeOver()
   bool renumbered_ = false, renumber_ = false;     // whether slots were given out anew for cut_, and are for next_cut_, because somebody wished it
   std::optional<Error> error_;
   mutable std::atomic<uint32_t> state_{kIdle};

@@ -20,22 +20,24 @@ struct FadeSettings {
 // One thread calls. Nothing takes memory after the start.
 class CutFade {
  public:
-  // radii_m: within which tiles are wanted, by level (Streamer::radii()). max_slots: of the matrix.
-  CutFade(const FadeSettings& settings, std::span<const float> radii_m, uint32_t max_slots = kMaxSlots);
+  // radii_m: within which tiles are wanted, by level (Streamer::radii()).
+  CutFade(const FadeSettings& settings, std::span<const float> radii_m);
 
   // A frame begins. So long before observers are near a tile it has to be in the cut, s, to show its own light by then.
   float begin(const stream::Observers& observers, float frame_seconds);
-  // The tiles to put a matrix together of: `active` (as Streamer::active()) and those that fade out. Sorted likewise; as they are until the next call, or finish().
-  std::span<const stream::StripPtr> cut(std::span<const stream::StripPtr> active);
-  // Those of the last cut() that fade out, sorted; likewise.
-  std::span<const FadingTile> fading() const { return fading_; }
-  // The matrix is that of another cut. entered: the tiles that fade in, by number.
-  void follow(const LocalMatrix& matrix, std::span<const uint32_t> entered, const stream::Observers& observers);
+  // By tile of the matrix, how much of what it shows is its own; empty: nothing is to fade out (CutWish::own).
+  std::span<const float> own() const { return lets_go_ ? std::span<const float>() : own_; }
+  // Whether a tile that fades out has come to its end.
+  bool oneHasGone() const { return one_has_gone_; }
+  // The next cut is asked for by these.
+  void asked() { lets_go_ = one_has_gone_ = false; }
+  // The matrix is that of another cut. fading: what of it fades out, sorted, and maybe more. entered: the tiles that fade in, by number.
+  void follow(const LocalMatrix& matrix, std::span<const FadingTile> fading, std::span<const uint32_t> entered, const stream::Observers& observers);
   // Over how many frames light follows it: by the way of the fastest observer, and as fast as may be where a tile has come late.
   uint32_t easeFrames() const { return came_late_ ? settings_.frames : ease_frames_; }
   // A frame passes.
-  void advance(const LocalMatrix& matrix, const stream::Observers& observers);
-  // What fades is gone, by the next cut() and follow().
+  void advance(const stream::Observers& observers);
+  // Nothing fades in any more, and what fades out is gone by the next cut.
   void finish();
 
   // Makes what slots show of what they reflect, W/m2. What a parent shows counts as the same irradiance on its child's albedo.
@@ -45,49 +47,27 @@ class CutFade {
   uint32_t frames() const { return settings_.frames; }
 
  private:
-  struct Tile {
-    formats::TileId id;
-    static constexpr float kUnknown = -1;
-    float weight = 1;
-    float began_at_m = kUnknown;  // how far away the nearest observer was when it began to fade
-    Box bounds{};                 // of it, since then
-    bool leaving = false;
-    float hurry = 0;  // of the fastest pace, that it leaves at least at, whatever the way: to make room
-    bool rests() const { return weight == (leaving ? 0.0f : 1.0f); }
+  struct Fade {  // of a tile that shows more of its own, or less, from frame to frame
+    uint32_t tile;   // number in the matrix
+    uint32_t level;
+    bool leaving;
+    float hurry;       // FadingTile::hurry
+    float began_at_m;  // how far away the nearest observer was
+    Box bounds;
   };
-  struct Leaving {  // a tile of the cut before that is not active
-    uint32_t at;    // in cut_
-    uint32_t tile;  // in tiles_
-    float weight;   // the largest of its own and its descendants'
-    bool kept;
-  };
-  void followActive(std::span<const stream::StripPtr> active);
-  void listLeaving();
-  void keepTheMost();
-  static void beginFade(Tile& tile, const stream::ResidentStrip& strip, const stream::Observers& observers);
-  bool late(const Tile& tile) const;
-  float due(const Tile& tile, float away_m) const;
+  bool late(const Fade& fade) const { return fade.began_at_m < kLate * radii_m_[fade.level]; }
+  float due(const Fade& fade, float away_m) const;
 
+  static constexpr float kLate = 0.9f;  // of a level's radius: what enters nearer than that has not come by an observer's way
   const FadeSettings settings_;
   const std::vector<float> radii_m_;
-  const uint32_t max_slots_;
-  uint32_t ease_frames_;           // by the observers' way
-  bool came_late_ = false;         // a tile of the last follow()
-  std::vector<Tile> tiles_, tiles_before_;  // of the matrix
-  bool one_has_gone_ = false;               // of tiles_, since the last cut()
-  // What a frame asks of strips, most of which it has no other reason to look at: they lie far apart.
-  struct Known {
-    const stream::ResidentStrip* strip;
-    formats::TileId id;
-    uint32_t nodes = 0, parent = 0;  // parent: tile of the level above
-    formats::TileId parentId() const { return {id.level + 1, parent}; }
-  };
-  std::vector<stream::StripPtr> cut_, next_cut_;
-  std::vector<Known> active_, active_before_;    // all of active_ in cut_, which keeps them
-  std::vector<Known> known_, next_known_;        // of cut_ and next_cut_
-  std::vector<FadingTile> fading_;
-  std::vector<Leaving> leaving_;
-  std::vector<uint32_t> order_;  // of leaving_
+  uint32_t ease_frames_;    // by the observers' way
+  bool came_late_ = false;  // a tile of the last follow()
+  bool one_has_gone_ = false, lets_go_ = false;  // for the next cut that is asked for
+  // By tile of the matrix, and of that before.
+  std::vector<float> own_, own_before_;
+  std::vector<formats::TileId> ids_, ids_before_;
+  std::vector<Fade> fades_, fades_before_;  // ascending
 };
 
 }  // namespace ff::runtime

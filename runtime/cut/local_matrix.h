@@ -100,6 +100,11 @@ struct LocalMatrix {
     std::span<const uint32_t> partner_pages;  // number of the page (page_table.h) of each of the strip's partners
   };
   std::vector<PackedRows> packed;
+  struct Place {
+    Box bounds;   // of a tile's patches, m
+    bool linked;  // the tile above is there, too: its nodes have parents
+  };
+  std::vector<Place> places;  // by tile; likewise
   const PageTable* pages = nullptr;  // the assembler's
 
   uint32_t slots() const { return static_cast<uint32_t>(albedo.size()); }  // the highest ever used + 1
@@ -131,10 +136,11 @@ void touchMemory(std::vector<T>& values, size_t most) {
 void weighChildren(LocalMatrix& matrix);
 void divideLeaves(LocalMatrix& matrix);
 
-// A tile that may leave at any time; weight: how much of what it shows is its own.
+// A tile that may leave at any time.
 struct FadingTile {
   formats::TileId id;
-  float weight = 0;
+  float weight = 0;  // of what it shows, or its descendants, so much is their own
+  float hurry = 0;   // of the fastest pace, that it leaves at least at: to make room
 };
 
 class PackedChange;

@@ -92,6 +92,7 @@ MatrixAssembler::MatrixAssembler(const formats::World& world, FarLight far_light
   LocalMatrix& m = matrix_;
   m.tiles.reserve(kTilesAtFirst);
   m.packed.reserve(kTilesAtFirst);
+  m.places.reserve(kTilesAtFirst);
   m.pages = &pages_;
   m.entries.reserve(entry_capacity_);
   m.most_slots = static_cast<uint32_t>(std::min<uint64_t>(nodesOf(world) + 1, max_slots));  // one is FarLight::kConstant's
@@ -174,8 +175,10 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
   }
   matrix_.tiles.clear();
   matrix_.packed.clear();
+  matrix_.places.clear();
   for (const Tile& tile : tiles_) {
     matrix_.tiles.push_back(tile.range);
+    matrix_.places.push_back({tile.bounds, tile.linked});
     matrix_.packed.push_back({tile.strip.get(), partnerPages(tile)});
   }
   const auto changed = pages_.refresh();
@@ -234,6 +237,7 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
     Tile tile;
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
     tile.strip = strip;
+    tile.bounds = strip->tile.info().bounds;
     tile.entered = true;
     next_tiles_.push_back(std::move(tile));
   }

@@ -44,6 +44,7 @@ class MatrixAssembler {
   // The matrix alone, without what only the assembler keeps alive.
   LocalMatrix take() && {
     matrix_.packed.clear();
+    matrix_.places.clear();
     matrix_.pages = nullptr;
     return std::move(matrix_);
   }
@@ -52,6 +53,7 @@ class MatrixAssembler {
   struct Tile {
     SlotRange range;
     stream::StripPtr strip;
+    Box bounds{};
     uint64_t first_entry = 0, room = 0;  // in LocalMatrix::entries
     uint64_t first_partner = 0, first_run = 0;  // in partner_pages_ and run_entries_
     bool entered = false, placed = false, linked = false;  // linked: its parent tile is active, too

@@ -64,13 +64,11 @@ class CpuGather final : public Solver {
     return {};
   }
 
-  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override {
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange&, bool stays) override {
     FF_CHECK_EQ(source.size(), source_.size());
     if (held_.goesBefore()) hold();
-    for (const uint32_t t : change.entered) {
-      const SlotRange& range = matrix_->tiles[t];
-      repaired_ += copySound(source.subspan(range.first_slot, range.nodes), std::span(source_).subspan(range.first_slot, range.nodes));
-    }
+    entered_source_ = source;
+    if (!stays) enter();
     pace_.forget();
     return {};
   }
@@ -149,9 +147,11 @@ class CpuGather final : public Solver {
       pool_.run(static_cast<uint32_t>(end - first), [&](uint32_t tile) { enter(entering_[first + tile]); });
     }
     entering_.clear();
+    entered_source_ = {};
   }
 
   void enter(const SlotRange& range) {
+    if (!entered_source_.empty()) repaired_ += copySound(entered_source_.subspan(range.first_slot, range.nodes), std::span(source_).subspan(range.first_slot, range.nodes));
     for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
       const uint32_t parent = matrix_->parent_slot[s];
       held_.enter(s);
@@ -275,10 +275,11 @@ class CpuGather final : public Solver {
   bool stepped_ = false;  // to_ is what the last step came from
   bool knows_changed_ = false;  // LocalMatrix::changed_leaves has all that is due: no change before it still is
   std::vector<SlotRange> entering_;   // since enter(); the coarsest level of an update first
+  std::span<const Vec4> entered_source_;  // of these, where they have others than zero
   std::vector<SlotRange> left_;       // since enter()
   bool shows_parents_light_ = false;  // of these
   SemiIteration pace_;
-  uint64_t repaired_ = 0;
+  std::atomic<uint64_t> repaired_ = 0;
   double last_ms_ = 0;
 };
 

@@ -55,7 +55,7 @@ class VulkanGather final : public VulkanRecorder {
   bool resolvesRows() const override { return true; }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override;
   Result<void> setSource(std::span<const Vec4> source) override;
-  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override;
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool stays) override;
   void ease(uint32_t frames) override;
   Result<void> iterate(int k) override;
   Result<void> approach(int k) override;
@@ -552,7 +552,7 @@ Result<void> VulkanGather::setSource(std::span<const Vec4> source) {
   return {};
 }
 
-Result<void> VulkanGather::setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) {
+Result<void> VulkanGather::setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool) {
   if (has_source_) return setSource(source);
   stageEntered(source, change, source_, copies_to_source_);
   has_source_ = true;

@@ -26,12 +26,12 @@ class Fallback final : public FallbackSolver {
     source_.assign(source.begin(), source.end());
     return attempt([&](Solver& s) { return s.setSource(source_); });
   }
-  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override {
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool stays) override {
     for (const uint32_t t : change.entered) {
       const SlotRange& range = matrix_->tiles[t];
       std::copy_n(source.begin() + range.first_slot, range.nodes, source_.begin() + range.first_slot);
     }
-    return attempt([&](Solver& s) { return s.setEnteredSource(source_, change); });
+    return attempt([&](Solver& s) { return s.setEnteredSource(source_, change, stays); });
   }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override {
     last_seen_.assign(radiosity.begin(), radiosity.end());

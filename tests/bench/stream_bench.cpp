@@ -124,7 +124,7 @@ class TimedSolver final : public runtime::Solver {
   void follow(const runtime::Updater& updater) { updater_ = &updater; }
   Result<void> update(const runtime::LocalMatrix& m, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->update(m, c); }); }
   Result<void> setSource(std::span<const Vec4> source) override { return timed(update_, [&] { return of_->setSource(source); }); }
-  Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c) override { return timed(update_, [&] { return of_->setEnteredSource(source, c); }); }
+  Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c, bool stays) override { return timed(update_, [&] { return of_->setEnteredSource(source, c, stays); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
   void ease(uint32_t frames) override { of_->ease(frames); }
   bool resolvesRows() const override { return of_->resolvesRows(); }

@@ -232,8 +232,9 @@ TEST(MatrixAssembler, RadiosityHasTheSameBitsWhateverTheWalk) {
   }
 }
 
-// However often somebody looks in the meantime: matrix, slots and changes, and what is written of these for a device, are those of one assembler that takes up the same cuts. What was asked for is the caller's
-// again when the builder has read it.
+stream::StripList listOf(const Cut& cut) { return std::make_shared<const Cut>(cut); }
+
+// However often somebody looks in the meantime: matrix, slots and changes, and what is written of these for a device, are those of one assembler that takes up the same cuts.
 TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
   const TestWorld test({.side = 32, .tile_nodes = 24, .seed = 7});
   CutBuilder builder(test.world(), FarLight::kPyramid, true, nullptr, true);
@@ -248,18 +249,15 @@ TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
       reference.renumberNext();
     }
     const int more = static_cast<int>(random() % 3);
-    Cut passing = asked;
-    ASSERT_TRUE(builder.next(passing));
-    ASSERT_FALSE(builder.change().any) << "nothing was being built";
+    ASSERT_TRUE(builder.ask({listOf(asked)}));
     builder.begin();
-    while (builder.reads()) std::this_thread::yield();
-    passing.assign(passing.size(), nullptr);
     for (int k = 0; k < more; ++k) {  // looks again before, or after, it is there
       if (random() % 2) builder.await();
-      ASSERT_TRUE(builder.next(asked));
+      ASSERT_TRUE(builder.take());
+      ASSERT_TRUE(builder.ask({listOf(asked)}));
     }
     builder.await();
-    ASSERT_TRUE(builder.next(asked));
+    ASSERT_TRUE(builder.take());
     ASSERT_TRUE(builder.holds(asked));
     ASSERT_TRUE(reference.update(asked));
     const LocalMatrix &m = builder.matrix(), &n = reference.matrix();
@@ -305,12 +303,12 @@ TEST(CutBuilder, FindsOutByItselfThatItIsAsked) {
   CutBuilder builder(test.world(), FarLight::kPyramid, true);
   for (const uint64_t seed : {1, 2, 3}) {
     const Cut asked = test.randomCut(0.6, seed);
-    ASSERT_TRUE(builder.next(asked));
+    ASSERT_TRUE(builder.ask({listOf(asked)}));
     builder.begin();
     const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(20);
     while (!builder.holds(asked) && std::chrono::steady_clock::now() < until) {
       std::this_thread::sleep_for(std::chrono::milliseconds(2));
-      ASSERT_TRUE(builder.next(asked));
+      ASSERT_TRUE(builder.take());
     }
     ASSERT_TRUE(builder.holds(asked));
     if (seed == 2) std::this_thread::sleep_for(2 * stream::kLooks * stream::kLook);
@@ -324,9 +322,9 @@ TEST(CutBuilder, ARefusedCutLeavesTheMatrixAsItWasAndTheNextOneComes) {
   Cut broken = test.randomCut(0.9, 2);
   broken.pop_back();  // a tile of the top level
   const auto follow = [&](const Cut& next) {
-    EXPECT_TRUE(builder.next(next));
+    EXPECT_TRUE(builder.ask({listOf(next)}));
     builder.await();
-    return builder.next(next);
+    return builder.take();
   };
   ASSERT_TRUE(follow(cut));
   const auto refused = follow(broken);

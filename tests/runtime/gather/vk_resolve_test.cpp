@@ -147,7 +147,7 @@ TEST_F(VkResolve, UploadsTheLightOfWhatEnteredAlone) {
     const MatrixChange& change = assembler.change();
     ASSERT_FALSE(change.renumbered);
     ASSERT_TRUE(solver->update(m, change));
-    ASSERT_TRUE(solver->setEnteredSource(lightOf(m, step), change) && solver->setEnteredEmission(lightOf(m, step), change) && solver->iterate(1));
+    ASSERT_TRUE(solver->setEnteredSource(lightOf(m, step), change, false) && solver->setEnteredEmission(lightOf(m, step), change) && solver->iterate(1));
     uint64_t nodes = 0;
     for (const uint32_t t : change.entered) nodes += m.tiles[t].nodes;
     EXPECT_EQ(uploaded(), 2 * nodes * sizeof(Vec4)) << "step " << step;

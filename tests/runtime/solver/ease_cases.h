@@ -175,8 +175,10 @@ TEST_P(Ease, AChangeOfSourcesIsNotHeldBack) {
 // However a new cut's sources are given, light is the same, to the bit.
 TEST_P(Ease, SourcesOfWhatEnteredAreAsGoodAsAll) {
   const TestWorld test(world());
+  enum Way { kAll, kEntered, kEnteredWhichStay };
   std::vector<std::vector<Vec4>> light;
-  for (const bool entered_alone : {false, true}) {
+  for (const Way way : {kAll, kEntered, kEnteredWhichStay}) {
+    std::vector<Vec4> source;
     CutChange walk(GetParam(), test, kEaseFrames);
     for (uint64_t step = 0; step < 6; ++step) {
       ASSERT_TRUE(walk.solver->iterate(2));
@@ -184,8 +186,9 @@ TEST_P(Ease, SourcesOfWhatEnteredAreAsGoodAsAll) {
       const MatrixChange& change = walk.assembler.change();
       ASSERT_FALSE(change.renumbered);
       ASSERT_TRUE(walk.solver->update(walk.matrix(), change));
-      const std::vector<Vec4> source = sourceOf(walk.matrix());
-      ASSERT_TRUE(entered_alone ? walk.solver->setEnteredSource(source, change) : walk.solver->setSource(source));
+      source = sourceOf(walk.matrix());
+      ASSERT_TRUE(way == kAll ? walk.solver->setSource(source) : walk.solver->setEnteredSource(source, change, way == kEnteredWhichStay));
+      if (way == kEntered) std::ranges::fill(source, Vec4{1, 1, 1, 0});
     }
     ASSERT_TRUE(walk.solver->iterate(3));
     light.push_back(walk.light());
@@ -193,8 +196,10 @@ TEST_P(Ease, SourcesOfWhatEnteredAreAsGoodAsAll) {
       if (!walk.matrix().leaf[slot]) light.back()[slot] = {};
     }
   }
-  ASSERT_EQ(light[0].size(), light[1].size());
-  for (size_t slot = 0; slot < light[0].size(); ++slot) ASSERT_EQ(distance(light[0][slot], light[1][slot]), 0);
+  for (const Way way : {kEntered, kEnteredWhichStay}) {
+    ASSERT_EQ(light[way].size(), light[kAll].size());
+    for (size_t slot = 0; slot < light[kAll].size(); ++slot) ASSERT_EQ(distance(light[kAll][slot], light[way][slot]), 0);
+  }
 }
 
 TEST_P(Ease, NoughtLetsAllGoNow) {

@@ -483,7 +483,7 @@ class FailsLater final : public Solver {
   explicit FailsLater(int calls) : left_(calls), cpu_(makeCpuGather(1)) {}
   Result<void> update(const LocalMatrix& m, const MatrixChange& change) override { return call([&] { return cpu_->update(m, change); }); }
   Result<void> setSource(std::span<const Vec4> source) override { return call([&] { return cpu_->setSource(source); }); }
-  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change) override { return call([&] { return cpu_->setEnteredSource(source, change); }); }
+  Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool stays) override { return call([&] { return cpu_->setEnteredSource(source, change, stays); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return call([&] { return cpu_->setRadiosity(b); }); }
   Result<void> iterate(int k) override { return call([&] { return cpu_->iterate(k); }); }
   Result<void> radiosity(std::span<Vec4> out) override { return call([&] { return cpu_->radiosity(out); }); }
@@ -517,7 +517,7 @@ TEST(Fallback, TheSecondSolverKnowsTheSourcesOfAllNodes) {
     for (uint64_t cut = 0; cut < kCuts; ++cut) {
       ASSERT_TRUE(assembler.update(test.randomCut(0.5, cut)));
       ASSERT_TRUE(solver->update(m, assembler.change()));
-      ASSERT_TRUE(cut == 0 ? solver->setSource(source()) : solver->setEnteredSource(source(), assembler.change()));
+      ASSERT_TRUE(cut == 0 ? solver->setSource(source()) : solver->setEnteredSource(source(), assembler.change(), false));
       ASSERT_TRUE(solver->iterate(1));
     }
     EXPECT_STREQ(solver->name(), "cpu");
