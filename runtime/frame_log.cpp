@@ -14,10 +14,11 @@ FrameLog::FrameLog(uint32_t frames) : start_(Clock::now()), kept_(frames) {
   scratch_.reserve(kept_);
 }
 
-void FrameLog::add(Clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+void FrameLog::add(Clock::time_point began, double steps_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
                    const std::array<double, 3>& origin) {
   if (kept_ == 0) return;
-  const Frame now{std::chrono::duration<double, std::micro>(began - start_).count(), static_cast<float>(frame.stream_ms), static_cast<float>(frame.matrix_ms),
+  const double rest_ms = std::max(msSince(began) - frame.stream_ms - frame.matrix_ms - steps_ms, 0.0);
+  const Frame now{std::chrono::duration<double, std::micro>(began - start_).count(), static_cast<float>(frame.stream_ms), static_cast<float>(frame.matrix_ms), static_cast<float>(rest_ms),
                   static_cast<float>(frame.solve_ms), tiles.wanted_tiles, tiles.late_tiles, tiles.pending_tiles, tiles.ahead_tiles, frame.matrix_changed,
                   tiles.resident_bytes, tiles.bytes_read, tiles.strips_read, tiles.reads, tiles.failed, frame.uploaded, origin, observers.size()};
   std::ranges::copy(observers, observers_.begin() + static_cast<ptrdiff_t>(next_ * stream::kMaxObservers));
@@ -31,7 +32,7 @@ void FrameLog::add(Clock::time_point began, const FrameStats& frame, const strea
 FrameLog::Times FrameLog::times() {
   if (frames_.empty()) return {};
   scratch_.clear();
-  for (const Frame& frame : frames_) scratch_.push_back(frame.stream_ms + frame.matrix_ms);
+  for (const Frame& frame : frames_) scratch_.push_back(frame.stream_ms + frame.matrix_ms + frame.rest_ms);
   std::ranges::sort(scratch_);
   const auto at = [&](double share) { return static_cast<double>(scratch_[std::min(scratch_.size() - 1, static_cast<size_t>(share * static_cast<double>(scratch_.size())))]); };
   return {at(0.5), at(0.99), static_cast<double>(scratch_.back())};
@@ -59,6 +60,7 @@ std::string FrameLog::trace() const {
     at_us = frame.began_us;
     bar("stream", frame.stream_ms)["args"] = {{"observers", std::move(observers)}};
     bar(frame.cut_changed ? "new cut, matrix and light" : "matrix and light", frame.matrix_ms);
+    bar("rest", frame.rest_ms);
     bar("solver", frame.solve_ms);
     counter("tiles", frame.began_us, {{"wanted", frame.wanted}, {"late", frame.late}, {"ahead", frame.ahead}, {"pending", frame.pending}});
     counter("MB resident", frame.began_us, {{"strips", static_cast<double>(frame.resident_bytes) * 1e-6}});

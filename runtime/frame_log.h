@@ -17,8 +17,8 @@ class FrameLog {
  public:
   // frames: kept; 0: none.
   explicit FrameLog(uint32_t frames);
-  // A frame that began then has just ended. origin: of the observers' positions, m.
-  void add(std::chrono::steady_clock::time_point began, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+  // A frame that began then has just ended. steps_ms: what it spent on the solver's steps, of its thread's time. origin: of the observers' positions, m.
+  void add(std::chrono::steady_clock::time_point began, double steps_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
            const std::array<double, 3>& origin);
 
   // Of the frames kept, what the frame's thread took but for the solver's steps, ms: half of them at most, 99 of a hundred, the worst. 0: no frame yet.
@@ -27,13 +27,13 @@ class FrameLog {
   };
   Times times();
   // The frames kept, in the format of Chrome's and Perfetto's trace viewers: a bar each for streaming (with "observers": x, y, z in the scene's world space, m,
-  // and velocity, m/s, of each), matrix and light, and the solver, and counters. ffinspect trace flies that path again.
+  // and velocity, m/s, of each), matrix and light, the rest of the frame, and the solver, and counters. ffinspect trace flies that path again.
   std::string trace() const;
 
  private:
   struct Frame {
     double began_us;  // since the start
-    float stream_ms, matrix_ms, solve_ms;
+    float stream_ms, matrix_ms, rest_ms, solve_ms;
     uint32_t wanted, late, pending, ahead, cut_changed;
     uint64_t resident_bytes, bytes_read, strips_read, reads, strips_failed;
     UploadedBytes uploaded;

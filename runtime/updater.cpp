@@ -153,7 +153,9 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(observers);
+  const auto steps_start = Clock::now();
   const auto iterated = solver_.iterate(iterations != kAsLightNeeds ? iterations : rested_frames_ < kRestFrames ? kSteps : 1);
+  stats.steps_ms = msSince(steps_start);
   cut_.begin();
   if (!iterated) return iterated.error();
   stats.solve_ms = solver_.lastMs();
@@ -173,7 +175,7 @@ Result<void> Updater::prepare(const formats::WorldInfo& before) {
   for (auto* per_slot : {&direct_irradiance_, &lamp_irradiance_}) per_slot->assign(m.slots(), {});
   emits_.assign(m.slots(), 0);
   names_.clear();
-  for (uint32_t t = 0; t < m.tiles.size(); ++t) names_.push_back({m.tiles[t].id.level, m.packed[t].strip->tile.name(), t});
+  for (uint32_t t = 0; t < m.tiles.size(); ++t) names_.push_back({m.tiles[t].id.level, m.places[t].name, t});
   std::ranges::sort(names_, {}, &Named::key);
   lamp_before_.clear();
   for (const formats::LampGroup& group : world_.info().lamp_groups) {
@@ -213,7 +215,7 @@ void Updater::takeLight(Updater& before) {
   if (old.size() != from.slots()) return before_.assign(m.slots(), {});  // it has had no frame
   for (size_t t = 0; t < from.tiles.size(); ++t) {
     const stream::ResidentStrip& strip = *from.packed[t].strip;
-    const Named name{from.tiles[t].id.level, strip.tile.name(), 0};
+    const Named name{from.tiles[t].id.level, from.places[t].name, 0};
     const auto at = std::ranges::lower_bound(names_, name.key(), {}, &Named::key);
     if (at == names_.end() || at->key() != name.key()) continue;
     const stream::ResidentStrip& strip_now = *m.packed[at->tile].strip;
@@ -438,11 +440,9 @@ Result<void> Updater::radiosity(std::span<Vec4> out) {
 
 void Updater::show(std::span<Vec4> reflected) const {
   fade_.blend(matrix(), reflected);
-  for (size_t s = 0; s < std::min(reflected.size(), emission_.size()); ++s) {
-    Vec4& b = reflected[s];
-    const Vec4& m = emission_[s];
-    b = {b.x + m.x, b.y + m.y, b.z + m.z, 0};
-  }
+  for (const SlotRange& range : matrix().tiles)
+    if (emits_[range.first_slot])
+      for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) reflected[s] = reflected[s] + emission_[s];
 }
 
 }  // namespace ff::runtime

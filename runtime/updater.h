@@ -33,7 +33,8 @@ struct FrameStats {
   uint32_t light_zeroed =
       0;  // values of DirectLight, and sources made of them, that were no light and were taken for zero
   UploadedBytes uploaded;  // since the start
-  double stream_ms = 0, matrix_ms = 0, solve_ms = 0;
+  double stream_ms = 0, matrix_ms = 0, solve_ms = 0;  // solve_ms: on the clock of the device that made the steps
+  double steps_ms = 0;                                // that the frame's thread spent on them, or on recording them
 };
 
 // What to add to a place of one world to have it in the coordinates of another, m.
@@ -97,6 +98,7 @@ class Updater {
   // Whether that was the last time because tiles entered and left, as change() says, and for no other slot.
   bool emissionEntered() const { return emission_entered_; }
   Result<void> reflected(std::span<Vec4> out) { return solver_.radiosity(out); }  // R, after any number of bounces
+  std::span<const Vec4> reflectedInMemory() { return solver_.inMemory(); }         // likewise; Solver::inMemory()
   Result<void> radiosity(std::span<Vec4> out);                  // B: show() of R
   // Makes what slots show of what they reflect: blended where tiles leave (cut_fade.h), and what they emit added.
   void show(std::span<Vec4> reflected) const;

@@ -280,18 +280,21 @@ Result<stream::Observers> FormfieldWorld_T::observersOf(std::span<const Formfiel
 
 Result<void> FormfieldWorld_T::frame(const stream::Observers& now) {
   if (auto stepped = step(now); !stepped) return stepped;
-  return readRadiosity();
+  if (auto read = readRadiosity(); !read) return read;
+  logFrame(frame_stats.steps_ms);
+  return {};
 }
 
+void FormfieldWorld_T::logFrame(double steps_ms) { log.add(began, steps_ms, frame_stats, streamStats(), observers, shown->world->info().origin); }
+
 Result<void> FormfieldWorld_T::step(stream::Observers now) {
+  began = Clock::now();
   takeUpReload(now);
   observers = now;
   const int iterations = settings.iterations > 0 ? static_cast<int>(settings.iterations) : choice.iterations;
-  const auto began = Clock::now();
   const auto stats = updater().frame(now, iterations);
   if (leaving && updater().isTakenUp()) reloader->retire(std::move(leaving));
   if (!stats) return stats.error();
-  log.add(began, *stats, streamStats(), now, shown->world->info().origin);
   followCut(*stats);
   return {};
 }
@@ -303,27 +306,48 @@ void FormfieldWorld_T::followCut(const FrameStats& stats) {
   ++change;
   const LocalMatrix& matrix = updater().matrix();
   shown->slots.follow(matrix.tiles);
+}
+
+const std::vector<FormfieldTile>& FormfieldWorld_T::tilesNow() {
+  if (std::exchange(tiles_of, change) == change) return tiles;
+  const LocalMatrix& matrix = updater().matrix();
   tiles.clear();
   for (size_t t = 0; t < matrix.tiles.size(); ++t) {
     const SlotRange& range = matrix.tiles[t];
-    const formats::TileName name = matrix.packed[t].strip->tile.name();
+    const formats::TileName& name = matrix.places[t].name;
     tiles.push_back({range.id.level, range.id.tile, {name.chunk[0], name.chunk[1], name.chunk[2]}, name.tile, range.first_slot, range.first_node, range.nodes});
   }
+  return tiles;
 }
 
 Result<void> FormfieldWorld_T::readRadiosity() {
+  residual_unseen = !updater().reflectedInMemory().empty();
+  unseen = residual_unseen ? Unseen::kInMemory : Unseen::kNothing;
+  if (residual_unseen) return {};
   radiosity.resize(updater().matrix().slots());
   if (auto read = updater().reflected(radiosity); !read) return read;
   residual = residual_monitor.look(updater().matrix(), updater().source(), radiosity);
   updater().show(radiosity);
-  recorded_unseen = false;
   return {};
 }
 
+double FormfieldWorld_T::residualNow() {
+  if (!std::exchange(residual_unseen, false)) return residual;
+  const std::span<const Vec4> reflected = updater().reflectedInMemory();
+  if (reflected.size() == updater().matrix().slots()) residual = residual_monitor.look(updater().matrix(), updater().source(), reflected);
+  return residual;
+}
+
 const std::vector<Vec4>& FormfieldWorld_T::shownRadiosity() {
-  if (!std::exchange(recorded_unseen, false)) return radiosity;
+  const Unseen where = std::exchange(unseen, Unseen::kNothing);
+  if (where == Unseen::kNothing) return radiosity;
+  const std::span<const Vec4> reflected = where == Unseen::kInMemory ? updater().reflectedInMemory() : std::span<const Vec4>();
+  if (where == Unseen::kInMemory && reflected.size() != updater().matrix().slots()) return radiosity;  // a frame has failed since
   radiosity.resize(updater().matrix().slots());
-  solver.recording->lastSeen(radiosity);
+  if (where == Unseen::kRecorded)
+    solver.recording->lastSeen(radiosity);
+  else
+    std::ranges::copy(reflected, radiosity.begin());
   updater().show(radiosity);
   return radiosity;
 }
@@ -600,9 +624,12 @@ FormfieldResult formfieldSettle(FormfieldWorld world, float tolerance, uint32_t 
 }
 
 const FormfieldTile* formfieldTiles(FormfieldWorld world, uint32_t* count, uint64_t* change) {
-  if (count) *count = world ? static_cast<uint32_t>(world->tiles.size()) : 0;
+  if (count) *count = 0;
   if (change) *change = world ? world->change : 0;
-  return world ? world->tiles.data() : nullptr;
+  if (!world) return nullptr;
+  const std::vector<FormfieldTile>& tiles = world->tilesNow();
+  if (count) *count = static_cast<uint32_t>(tiles.size());
+  return tiles.data();
 }
 
 FormfieldResult formfieldPatchSlots(FormfieldWorld world, uint64_t first, uint32_t count, uint32_t* slots) {
@@ -663,7 +690,7 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
       report.dense_rebuilds = d.rebuilds;
       report.dense_probe = d.probe;
     }
-    report.residual = w.residual;
+    report.residual = w.residualNow();
     if (w.shown->probes) {
       const ProbeStats p = w.probeStats();
       report.probes_traced = p.traced;

@@ -232,7 +232,7 @@ typedef struct FormfieldPlace {
 FormfieldResult formfieldExpect(FormfieldWorld world, uint32_t count, const FormfieldPlace* places);
 
 /* Radiosity by slot after the last formfieldFrame, W/m2: red, green, blue and one float without meaning. Valid until the
- * next frame. */
+ * next frame. What slots show is made when it is first asked for after a frame, which takes time for each slot: a frame whose light nobody asks for does without. */
 const float* formfieldRadiosity(FormfieldWorld world, uint32_t* slots);
 
 /* Irradiance, W/m2, of a small surface at each point that faces along its normal (of any length): what surfaces around
@@ -281,7 +281,7 @@ typedef struct FormfieldStats {
   uint64_t resident_bytes, peak_resident_bytes;
   uint32_t resident_tiles, wanted_tiles, pending_tiles; /* as found for the frame before; after a jump something is pending until its place was looked at */
   uint32_t fallbacks;                          /* 1: the device was lost or full, the CPU has taken over */
-  double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B;
+  double residual;                             /* of the last frame's light: largest |M + rho F B - B| over the largest B, on some rows, looked at when it is asked for;
                                                   (B: what surfaces reflect); negative: not measured. What fade_frames hold back counts. formfieldRecord measures multibounce only, all
                                                   leaves, before the last step of the frame frames_in_flight ago */
   uint32_t dense_nodes, dense_waiting;         /* leaves in the dense matrix, leaves that wait for it (lit all the same) */
@@ -295,7 +295,7 @@ typedef struct FormfieldStats {
   uint64_t light_zeroed;                       /* callbacks' values that were no light, taken for zero */
   uint64_t light_repaired;                     /* solver's values that were not finite or past 1e15 W/m2 */
   uint64_t samples_refused; /* points answered with zero: they or their normals are not finite, or 0 */
-  double frame_ms_p50, frame_ms_p99, frame_ms_max; /* of the frames that are kept: what the frame's thread took but for the solver; half of them at most, ... */
+  double frame_ms_p50, frame_ms_p99, frame_ms_max; /* of the frames that are kept: what formfieldFrame or formfieldRecord took but for the solver's steps; half of them at most, ... */
   uint32_t late_tiles, ahead_tiles;            /* wanted and not there yet; read ahead, or on the way, for where the observers will be */
   uint32_t applied_tiles, waiting_tiles;       /* entered in the last frame; loaded, and kept back by max_applied_tiles */
   uint64_t reads_held;                         /* reads that began later than they could have, for read_bytes_per_second */

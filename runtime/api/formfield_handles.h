@@ -77,8 +77,9 @@ struct FormfieldWorld_T {
   }
   // Those of a call; errors: too many, none, or a number that is not finite.
   ff::Result<ff::stream::Observers> observersOf(std::span<const FormfieldObserver> given) const;
-  // The frame but for reading its light back.
+  // The frame but for reading its light back, and logging it.
   ff::Result<void> step(ff::stream::Observers observers);
+  void logFrame(double steps_ms);  // as FrameLog::add()
   ff::Result<void> frame(const ff::stream::Observers& observers);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
@@ -86,8 +87,10 @@ struct FormfieldWorld_T {
   void followCut(const ff::runtime::FrameStats& stats);
   ff::Result<void> chooseByMatrix();
   ff::Result<void> readRadiosity();
-  // Of recorded frames it is made when somebody asks: those who draw from the device's buffer do not.
+  // Made when somebody asks: not every frame is looked at.
   const std::vector<ff::runtime::Vec4>& shownRadiosity();
+  double residualNow();
+  const std::vector<FormfieldTile>& tilesNow();
 
   FormfieldDevice_T& device;
   const std::string path;
@@ -120,6 +123,7 @@ struct FormfieldWorld_T {
       world.solver.recording->lastSeen(out);
       return {};
     }
+    std::span<const ff::runtime::Vec4> inMemory() override { return records() ? std::span<const ff::runtime::Vec4>() : now().inMemory(); }
     ff::runtime::UploadedBytes uploaded() const override { return now().uploaded(); }
     double lastMs() const override { return now().lastMs(); }
     const char* name() const override { return now().name(); }
@@ -137,6 +141,7 @@ struct FormfieldWorld_T {
   void* direct_light_user = nullptr;
 
   // Of the last frame.
+  std::chrono::steady_clock::time_point began;
   ff::stream::Observers observers;
   ff::runtime::FrameStats frame_stats;
   ff::runtime::FrameLog log;
@@ -144,11 +149,14 @@ struct FormfieldWorld_T {
   uint64_t light_zeroed = 0;     // since the start
   uint64_t repaired_before = 0;  // by solvers that are no longer in use
   double residual = -1;
+  enum class Unseen { kNothing, kInMemory, kRecorded };
+  Unseen unseen = Unseen::kNothing;  // light of the last frame is where the solver has it, or recorded, and not in `radiosity` yet
+  bool residual_unseen = false;      // it was not looked at yet
+  uint64_t tiles_of = 0;             // `change` of `tiles`
   uint64_t change = 0, followed = ~uint64_t{0};  // the cut: its number, and the one that the probes know
   std::vector<FormfieldTile> tiles;
   std::vector<ff::runtime::ProbeTile> probe_tiles;
-  std::vector<ff::runtime::Vec4> radiosity;  // shownRadiosity(), unless
-  bool recorded_unseen = false;              // a frame was recorded since that was asked
+  std::vector<ff::runtime::Vec4> radiosity;  // shownRadiosity(), but for what is unseen
   std::array<FormfieldNode, ff::formats::kTileNodes> nodes;  // of the tile whose light is asked for
   std::string stream_failure, reload_failure, budget_warning, storage_warning;
   std::optional<ff::runtime::Reloader> reloader;  // the first to go: its thread opens generations

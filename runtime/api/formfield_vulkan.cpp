@@ -41,12 +41,15 @@ class VulkanRecording final : public Recording {
     if (world.solver.fellBack()) {
       readBack(world, {});
       if (auto set = world.solver.solver->setRadiosity(reflected_); !set) return set;
-      return world.readRadiosity();
+      if (auto read = world.readRadiosity(); !read) return read;
+      world.logFrame(world.frame_stats.steps_ms);
+      return {};
     }
     readBack(world, arrived);
     recordReadBack(matrix.slots());
     world.residual = recorder_.residual();
     ++records_;
+    world.logFrame(0);  // the steps run on the device
     return {};
   }
 
@@ -92,7 +95,8 @@ class VulkanRecording final : public Recording {
         reflected_[slot] = parent != kNoSlot && eased ? onAlbedo(b, matrix.albedo[parent], matrix.albedo[slot], b) : b;
       }
     }
-    world.recorded_unseen = true;
+    world.unseen = FormfieldWorld_T::Unseen::kRecorded;
+    world.residual_unseen = false;
   }
 
   void recordReadBack(uint32_t slots) {

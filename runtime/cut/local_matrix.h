@@ -102,6 +102,7 @@ struct LocalMatrix {
   std::vector<PackedRows> packed;
   struct Place {
     Box bounds;   // of a tile's patches, m
+    formats::TileName name;
     bool linked;  // the tile above is there, too: its nodes have parents
   };
   std::vector<Place> places;  // by tile; likewise

@@ -178,7 +178,7 @@ Result<void> MatrixAssembler::update(std::span<const StripPtr> active, std::span
   matrix_.places.clear();
   for (const Tile& tile : tiles_) {
     matrix_.tiles.push_back(tile.range);
-    matrix_.places.push_back({tile.bounds, tile.linked});
+    matrix_.places.push_back({tile.bounds, tile.name, tile.linked});
     matrix_.packed.push_back({tile.strip.get(), partnerPages(tile)});
   }
   const auto changed = pages_.refresh();
@@ -238,6 +238,7 @@ void MatrixAssembler::diff(std::span<const StripPtr> active) {
     tile.range = {strip->id, kNoSlot, strip->first_node, static_cast<uint32_t>(strip->nodes.size())};
     tile.strip = strip;
     tile.bounds = strip->tile.info().bounds;
+    tile.name = strip->tile.name();
     tile.entered = true;
     next_tiles_.push_back(std::move(tile));
   }

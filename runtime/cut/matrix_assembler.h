@@ -54,6 +54,7 @@ class MatrixAssembler {
     SlotRange range;
     stream::StripPtr strip;
     Box bounds{};
+    formats::TileName name;
     uint64_t first_entry = 0, room = 0;  // in LocalMatrix::entries
     uint64_t first_partner = 0, first_run = 0;  // in partner_pages_ and run_entries_
     bool entered = false, placed = false, linked = false;  // linked: its parent tile is active, too

@@ -52,6 +52,7 @@ class Fallback final : public FallbackSolver {
     if (r) last_seen_.assign(out.begin(), out.end());
     return r;
   }
+  std::span<const Vec4> inMemory() override { return reason_.empty() ? first_->inMemory() : second_->inMemory(); }
   uint64_t repaired() const override { return inUse().repaired(); }
   UploadedBytes uploaded() const override { return first_->uploaded(); }
   double lastMs() const override { return inUse().lastMs(); }

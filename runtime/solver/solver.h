@@ -47,6 +47,8 @@ class Solver {
   virtual Result<void> approach(int k) { return iterate(k); }
   // Copies the radiosity of every slot, W/m2; 0 for free slots once a step has been made.
   virtual Result<void> radiosity(std::span<Vec4> out) = 0;
+  // The same where it lies, until the next call but for readings; empty: not in this process's memory.
+  virtual std::span<const Vec4> inMemory() { return {}; }
   // Values that were no sound light, since the start: of sources and radiosities given, taken for 0; of a step's
   // results, where the slot has gone on from its source. No step leaves any. Recorded steps count when they have run.
   virtual uint64_t repaired() const { return 0; }

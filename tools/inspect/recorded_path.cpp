@@ -61,7 +61,7 @@ Result<std::vector<RecordedFrame>> readRecordedPath(const std::string& path) {
     if (next == frames.begin()) continue;
     RecordedFrame& frame = std::prev(next)->second;
     const json name = event.value("name", json());
-    if (name == "stream" || name == "matrix and light" || name == "new cut, matrix and light") {
+    if (name == "stream" || name == "matrix and light" || name == "new cut, matrix and light" || name == "rest") {
       if (const double us = numberOf(event, "dur"); us >= 0) frame.ms += us / 1000;
     } else if (name == "tiles" && event.contains("args") && event["args"].is_object()) {
       if (const double late = numberOf(event["args"], "late"); late >= 0) frame.late_tiles = static_cast<uint32_t>(std::min(late, 4e9));

@@ -15,6 +15,8 @@ namespace ff::tools {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+double msSince(Clock::time_point then) { return std::chrono::duration<double, std::milli>(Clock::now() - then).count(); }
+
 constexpr size_t kWorst = 5;                   // frames that are listed
 constexpr uint32_t kMostFrames = 1u << 20;     // FormfieldWorldSettings::logged_frames
 constexpr float kSettled = 1e-4f;
@@ -115,13 +117,18 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   if (const auto code = formfieldSettle(world.get(), kSettled, kSettleIterations)) return error(code, device.get());
   const FormfieldStats before = statsNow();
   float radius_m = before.reached_radius_m, growth = before.reached_growth;  // the least that budgets had room for
-  Run now;
+  Run now, radiosity;  // what formfieldRadiosity takes
   const auto start = Clock::now();
   for (const RecordedFrame& at : *path) {
     std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(at.seconds)));
+    const auto frame_began = Clock::now();
     if (const auto code = frame(at)) return error(code, device.get());
+    const double frame_ms = msSince(frame_began);
     const FormfieldStats stats = statsNow();
-    now.ms.push_back(stats.stream_ms + stats.matrix_ms);
+    now.ms.push_back(std::max(frame_ms - stats.solve_ms, 0.0));
+    const auto asked = Clock::now();
+    (void)formfieldRadiosity(world.get(), nullptr);
+    radiosity.ms.push_back(msSince(asked));
     now.late.push_back(stats.late_tiles);
     radius_m = std::min(radius_m, stats.reached_radius_m);
     growth = std::min(growth, stats.reached_growth);
@@ -146,7 +153,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
     j["recorded"] = known ? then.toJson() : nlohmann::json();
     j["replayed"].update({{"reads", after.reads - before.reads}, {"strips_read", after.strips_read - before.strips_read}, {"bytes_read", after.bytes_read - before.bytes_read},
                           {"reads_cancelled", after.reads_cancelled - before.reads_cancelled}, {"strips_failed", after.strips_failed - before.strips_failed},
-                          {"peak_resident_bytes", after.peak_resident_bytes}, {"peak_stored_bytes", after.peak_stored_bytes}, {"decode_ms", after.decode_ms - before.decode_ms}, {"fallbacks", after.fallbacks}, {"least_radius_m", radius_m}, {"least_growth", growth}});
+                          {"peak_resident_bytes", after.peak_resident_bytes}, {"peak_stored_bytes", after.peak_stored_bytes}, {"decode_ms", after.decode_ms - before.decode_ms}, {"fallbacks", after.fallbacks}, {"radiosity_ms_p50", radiosity.quantile(0.5)}, {"radiosity_ms_p99", radiosity.quantile(0.99)}, {"least_radius_m", radius_m}, {"least_growth", growth}});
     fmt::print(out.to, "{}\n", j.dump(2));
     return {};
   }
@@ -158,6 +165,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   line("a frame but for the solver, half", ms(0.5));
   line("  99 of 100", ms(0.99));
   line("  the longest", ms(1));
+  fmt::print(out.to, "{:<38} {:.2f} ms, 99 of 100 {:.2f} ms\n", "asking for all radiosity, half", radiosity.quantile(0.5), radiosity.quantile(0.99));
   line("frames with late tiles", [](const Run& run) { return fmt::format("{}", run.framesLate()); });
   fmt::print(out.to, "{:<38} {:.1f} MB in {} strips by {} reads, {} cancelled, {} failed\n", "read", read_mb, after.strips_read - before.strips_read, after.reads - before.reads, after.reads_cancelled - before.reads_cancelled,
              after.strips_failed - before.strips_failed);
