@@ -111,9 +111,9 @@ class StreamerImpl final : public Streamer {
   }
   std::span<const Hint> expected() const override { return hints_; }
   void setLead(const Lead& lead) override {
-    lead_.turn_seconds = std::clamp(lead.turn_seconds, 0.0f, 1.0f);
-    lead_.active_seconds = std::clamp(lead.active_seconds, lead_.turn_seconds, 1.0f);
-    lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, 1.0f);
+    lead_.turn_seconds = std::clamp(lead.turn_seconds, 0.0f, kMaxLead_seconds);
+    lead_.active_seconds = std::clamp(lead.active_seconds, lead_.turn_seconds, kMaxLead_seconds);
+    lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, kMaxLead_seconds);
   }
   const StripList& activeList() const override { return active_; }
 

@@ -27,7 +27,7 @@ struct StreamSettings {
   uint64_t memory_bytes = uint64_t{512} << 20;  // of decoded strips; the farthest finest tiles are not loaded past it
   uint64_t kept_bytes = uint64_t{2} << 20;      // of these, of strips that are wanted no more: for the observer's return
   uint32_t max_level0_nodes = 24576;            // likewise, for active patches
-  uint32_t max_nodes = 114688;                  // of all wanted tiles together; a seventh more have room in the matrix, for what fades out,
+  uint32_t max_nodes = 131072;                  // of all wanted tiles together; a seventh more have room in the matrix, for what fades out,
                                                 // and so that a tile that enters finds consecutive slots
   int decode_threads = 1;
   int queue_depth = 64;                         // reads at a time, or as many as the source is good for: what flies at 60 m/s wants some 200 a second, also where each
@@ -41,7 +41,8 @@ struct StreamSettings {
                                                 // what came of the call before
 };
 
-// So long before an observer is near a tile is wanted: what whoever takes active() needs. At most 1 s each.
+// So long before an observer is near a tile is wanted: what whoever takes active() needs. At most so much each.
+inline constexpr float kMaxLead_seconds = 1.4f;
 struct Lead {
   float turn_seconds = 0;    // whichever way it turns: what may be near in that time is wanted as far as budgets have room beside all else
   float active_seconds = 0;  // on its way: until a tile that is active counts. Not less

@@ -14,7 +14,7 @@ constexpr float kFades = 1.2f;         // so many times the frames that light ta
 constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
 constexpr float kGone = 2;       // the way from where a tile leaves to where it shows nothing of its own
 // Of level 0's radius:
-constexpr float kAhead = 3;     // tiles on the way enter so much farther away
+constexpr float kAhead = 4;     // tiles on the way enter so much farther away
 constexpr float kEase = 0.25f;  // the way in which light follows
 
 }  // namespace
