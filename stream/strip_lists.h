@@ -19,22 +19,24 @@ class StripLists {
 
   // An empty one that nobody else holds. Takes memory only where more are held than ever before.
   std::shared_ptr<std::vector<StripPtr>> next() {
-    forgetIdle();
     for (const auto& list : lists_)
-      if (list.use_count() == 1) return list;
+      if (forget(list)) return list;
     return add();
   }
   // Lets go of the strips in lists that nobody holds.
   void forgetIdle() {
-    for (auto& list : lists_) {
-      if (list.use_count() != 1 || list->empty()) continue;
-      std::shared_ptr<std::vector<StripPtr>>(list).reset();  // all that others have read of it was before
-      list->clear();
-    }
+    for (const auto& list : lists_) (void)forget(list);
   }
 
  private:
   static constexpr int kAtFirst = 6;
+  // Whether nobody else holds it, so that it is empty now.
+  static bool forget(const std::shared_ptr<std::vector<StripPtr>>& list) {
+    if (list.use_count() != 1) return false;
+    std::shared_ptr<std::vector<StripPtr>>(list).reset();  // all that others have read of it was before
+    list->clear();
+    return true;
+  }
   std::shared_ptr<std::vector<StripPtr>> add() {
     lists_.push_back(std::make_shared<std::vector<StripPtr>>());
     lists_.back()->reserve(max_strips_);
