@@ -14,10 +14,10 @@ FrameLog::FrameLog(uint32_t frames) : start_(Clock::now()), kept_(frames) {
   scratch_.reserve(kept_);
 }
 
-void FrameLog::add(Clock::time_point began, double steps_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+void FrameLog::add(Clock::time_point began, double frame_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
                    const std::array<double, 3>& origin) {
   if (kept_ == 0) return;
-  const double rest_ms = std::max(msSince(began) - frame.stream_ms - frame.matrix_ms - steps_ms, 0.0);
+  const double rest_ms = std::max(frame_ms - frame.stream_ms - frame.matrix_ms, 0.0);
   const Frame now{std::chrono::duration<double, std::micro>(began - start_).count(), static_cast<float>(frame.stream_ms), static_cast<float>(frame.matrix_ms), static_cast<float>(rest_ms),
                   static_cast<float>(frame.solve_ms), tiles.wanted_tiles, tiles.late_tiles, tiles.pending_tiles, tiles.ahead_tiles, frame.matrix_changed,
                   tiles.resident_bytes, tiles.bytes_read, tiles.strips_read, tiles.reads, tiles.failed, frame.uploaded, origin, observers.size()};

@@ -17,8 +17,8 @@ class FrameLog {
  public:
   // frames: kept; 0: none.
   explicit FrameLog(uint32_t frames);
-  // A frame that began then has just ended. steps_ms: what it spent on the solver's steps, of its thread's time. origin: of the observers' positions, m.
-  void add(std::chrono::steady_clock::time_point began, double steps_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
+  // A frame that began then took so long but for the solver's steps. origin: of the observers' positions, m.
+  void add(std::chrono::steady_clock::time_point began, double frame_ms, const FrameStats& frame, const stream::StreamStats& tiles, const stream::Observers& observers,
            const std::array<double, 3>& origin);
 
   // Of the frames kept, what the frame's thread took but for the solver's steps, ms: half of them at most, 99 of a hundred, the worst. 0: no frame yet.

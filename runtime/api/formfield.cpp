@@ -285,7 +285,10 @@ Result<void> FormfieldWorld_T::frame(const stream::Observers& now) {
   return {};
 }
 
-void FormfieldWorld_T::logFrame(double steps_ms) { log.add(began, steps_ms, frame_stats, streamStats(), observers, shown->world->info().origin); }
+void FormfieldWorld_T::logFrame(double steps_ms) {
+  frame_ms = msSince(began) - steps_ms;
+  log.add(began, frame_ms, frame_stats, streamStats(), observers, shown->world->info().origin);
+}
 
 Result<void> FormfieldWorld_T::step(stream::Observers now) {
   began = Clock::now();
@@ -702,6 +705,7 @@ FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats) {
     report.frame_ms_p50 = times.p50_ms;
     report.frame_ms_p99 = times.p99_ms;
     report.frame_ms_max = times.max_ms;
+    report.frame_ms = w.frame_ms;
     report.late_tiles = s.late_tiles;
     report.ahead_tiles = s.ahead_tiles;
     report.light_zeroed = w.light_zeroed;

@@ -306,6 +306,7 @@ typedef struct FormfieldStats {
   double decode_ms;                            /* of the decoding threads' time, since the start */
   uint64_t peak_stored_bytes;                  /* of strips that were read and not decoded yet, at most */
   float reached_radius_m, reached_growth;      /* radius_m and growth that the last frame's budgets had room for: those asked for, or less (formfieldBudgetWarning) */
+  double frame_ms;                             /* what the last formfieldFrame or formfieldRecord took but for the solver's steps */
 } FormfieldStats;
 
 FormfieldResult formfieldGetStats(FormfieldWorld world, FormfieldStats* stats);

@@ -79,7 +79,7 @@ struct FormfieldWorld_T {
   ff::Result<ff::stream::Observers> observersOf(std::span<const FormfieldObserver> given) const;
   // The frame but for reading its light back, and logging it.
   ff::Result<void> step(ff::stream::Observers observers);
-  void logFrame(double steps_ms);  // as FrameLog::add()
+  void logFrame(double steps_ms);  // steps_ms: what its thread has spent on the solver's steps
   ff::Result<void> frame(const ff::stream::Observers& observers);
   ff::Result<void> settle(float tolerance, uint32_t max_iterations);
   ff::Result<void> sample(std::span<const ff::Vec3> points, std::span<const ff::Vec3> normals, std::span<ff::Vec3> out);
@@ -142,6 +142,7 @@ struct FormfieldWorld_T {
 
   // Of the last frame.
   std::chrono::steady_clock::time_point began;
+  double frame_ms = 0;  // but for the solver's steps
   ff::stream::Observers observers;
   ff::runtime::FrameStats frame_stats;
   ff::runtime::FrameLog log;

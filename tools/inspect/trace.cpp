@@ -121,11 +121,9 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   const auto start = Clock::now();
   for (const RecordedFrame& at : *path) {
     std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(at.seconds)));
-    const auto frame_began = Clock::now();
     if (const auto code = frame(at)) return error(code, device.get());
-    const double frame_ms = msSince(frame_began);
     const FormfieldStats stats = statsNow();
-    now.ms.push_back(std::max(frame_ms - stats.solve_ms, 0.0));
+    now.ms.push_back(stats.frame_ms);
     const auto asked = Clock::now();
     (void)formfieldRadiosity(world.get(), nullptr);
     radiosity.ms.push_back(msSince(asked));
