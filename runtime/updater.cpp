@@ -301,7 +301,8 @@ Result<void> Updater::takeUpChange(bool whole) {
     std::fill(emission_.begin(), emission_.end(), Vec4{});
     std::fill(emits_.begin(), emits_.end(), uint8_t{0});
   } else {
-    for (const SlotRange& range : change.left) clearEmission(range);
+    for (const SlotRange& range : change.left)
+      if (std::exchange(emits_[range.first_slot], uint8_t{0})) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
   }
   lightEntered(change.entered);
   ++emission_change_;
@@ -394,10 +395,6 @@ void Updater::light(uint32_t tile, bool ask_direct_light, bool ask_lamps) {
     if (!isLight(range.first_slot + i, ", with lamps and the sky,", m)) m = {};
     source_[range.first_slot + i] = {m.x, m.y, m.z, 0};
   }
-}
-
-void Updater::clearEmission(const SlotRange& range) {
-  if (std::exchange(emits_[range.first_slot], uint8_t{0})) std::fill_n(emission_.begin() + range.first_slot, range.nodes, Vec4{});
 }
 
 // Counts what is no light.

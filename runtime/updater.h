@@ -116,7 +116,6 @@ class Updater {
   const MatrixChange& wholeMatrix();
   void takeLight(Updater& before);
   void light(uint32_t tile, bool ask_direct_light, bool ask_lamps);
-  void clearEmission(const SlotRange& range);
   bool relit() const { return sky_changed_ || light_changed_ || lamps_changed_; }  // all sources are to be made anew
   bool isLight(uint32_t slot, const char* what, Vec3 value);
   std::string nameOf(uint32_t slot) const;

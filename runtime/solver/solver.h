@@ -29,10 +29,7 @@ class Solver {
   virtual Result<void> setSource(std::span<const Vec4> source) = 0;
   // The same after an update() that the solver has taken up, where only nodes that entered by it have other values than were given before. stays: they are as they are until the next
   // iterate(), which may read them.
-  virtual Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange&, bool stays) {
-    (void)stays;
-    return setSource(source);
-  }
+  virtual Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange&, bool /*stays*/) { return setSource(source); }
   // Radiosity to go on from, per slot; likewise.
   virtual Result<void> setRadiosity(std::span<const Vec4> radiosity) = 0;
   // From now on light takes so many calls of iterate() to follow a change of the cut. What changed rows, and rows of nodes that enter, would do to a slot at

@@ -15,8 +15,6 @@ namespace ff::tools {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double msSince(Clock::time_point then) { return std::chrono::duration<double, std::milli>(Clock::now() - then).count(); }
-
 constexpr size_t kWorst = 5;                   // frames that are listed
 constexpr uint32_t kMostFrames = 1u << 20;     // FormfieldWorldSettings::logged_frames
 constexpr float kSettled = 1e-4f;
@@ -117,7 +115,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
   if (const auto code = formfieldSettle(world.get(), kSettled, kSettleIterations)) return error(code, device.get());
   const FormfieldStats before = statsNow();
   float radius_m = before.reached_radius_m, growth = before.reached_growth;  // the least that budgets had room for
-  Run now, radiosity;  // what formfieldRadiosity takes
+  Run now, radiosity;  // radiosity: what formfieldRadiosity takes after each frame
   const auto start = Clock::now();
   for (const RecordedFrame& at : *path) {
     std::this_thread::sleep_until(start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(at.seconds)));
@@ -126,7 +124,7 @@ Result<void> inspectTrace(const std::string& world_path, const TraceRequest& req
     now.ms.push_back(stats.frame_ms);
     const auto asked = Clock::now();
     (void)formfieldRadiosity(world.get(), nullptr);
-    radiosity.ms.push_back(msSince(asked));
+    radiosity.ms.push_back(std::chrono::duration<double, std::milli>(Clock::now() - asked).count());
     now.late.push_back(stats.late_tiles);
     radius_m = std::min(radius_m, stats.reached_radius_m);
     growth = std::min(growth, stats.reached_growth);
