@@ -17,6 +17,12 @@ constexpr float kGone = 2;       // the way from where a tile leaves to where it
 constexpr float kAhead = 4;     // tiles on the way enter so much farther away
 constexpr float kEase = 0.25f;  // the way in which light follows
 
+// What an observer has of the way between two distances: evenly with their cubes. So what is seen as large changes slowly, and what lies twice as far away four times as fast a metre.
+float shareOfWay(float from_m, float to_m, float at_m) {
+  const auto cube = [](float m) { return m * m * m; };
+  return (cube(at_m) - cube(from_m)) / (cube(to_m) - cube(from_m));
+}
+
 }  // namespace
 
 CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) : settings_(settings), radii_m_(radii_m.begin(), radii_m.end()), ease_frames_(settings.frames) {
@@ -84,9 +90,9 @@ void CutFade::advance(const stream::Observers& observers) {
 // What a tile shows of its own by the way that the nearest observer has come, or gone, since it began.
 float CutFade::due(const Fade& fade, float away_m) const {
   const float radius_m = radii_m_[fade.level], at_hand_m = kAtHand * radius_m;
-  if (fade.leaving) return 1 - (away_m - fade.began_at_m) / (kGone * radius_m);
+  if (fade.leaving) return 1 - shareOfWay(fade.began_at_m, fade.began_at_m + kGone * radius_m, away_m);
   if (late(fade) || away_m <= at_hand_m) return 1;
-  return (fade.began_at_m - away_m) / (fade.began_at_m - at_hand_m);
+  return shareOfWay(fade.began_at_m, at_hand_m, away_m);
 }
 
 void CutFade::finish() {

@@ -118,7 +118,8 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   constexpr float kRadius_m = 8;
   Flight slow(test, {.frames = kFrames}), fast(test, {.frames = kFrames});
   size_t between = 0, compared = 0;
-  std::map<formats::TileId, float> before;
+  std::map<formats::TileId, float> before, away_before, slope;  // slope: of a weight, by the cube of the distance
+  size_t even = 0;
   for (int step = 0; step < 200; ++step) {
     const Vec3 at{10 + 0.2f * static_cast<float>(step), 1, 30};
     slow.frame(at);
@@ -132,6 +133,16 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
         ASSERT_EQ(weight, 1) << step << ": a tile at " << away_m << " m";
       }
       between += weight > 0 && weight < 1;
+      const float nearer_m = away_before.contains(id) ? away_before[id] - away_m : 0;
+      if (nearer_m > 0.1f && before.contains(id) && before[id] > 0 && weight < 1 && step_weight > 0.02f) {  // on its way in, and neither as fast nor as slowly as may be
+        const float now_slope = step_weight / (std::pow(away_before[id], 3.0f) - std::pow(away_m, 3.0f));
+        if (slope.contains(id)) {
+          ASSERT_NEAR(now_slope, slope[id], 0.05f * slope[id]) << step << ": what is near changes more slowly, as it is seen larger";
+          ++even;
+        }
+        slope[id] = now_slope;
+      }
+      away_before[id] = away_m;
       if (step % 2 != 0 || !now_fast.contains(id)) continue;
       ASSERT_NEAR(now_fast.at(id), weight, 0.25f) << step << ": the same way in half of the frames";
       ++compared;
@@ -139,6 +150,7 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
     before = now;
   }
   EXPECT_GT(between, 200u);
+  EXPECT_GT(even, 50u);
   EXPECT_GT(compared, 1000u);
   for (int frame = 0; frame < 490; ++frame) slow.frame({49.8f, 1, 30});  // and at rest it ends, too
   for (const auto& [id, weight] : slow.weights()) ASSERT_EQ(weight, 1);
