@@ -35,6 +35,7 @@ constexpr float kTurns = 1;            // a streamer in the background looks at 
 constexpr float kSlack = 4;            // frames that threads may lose while others have their cores
 constexpr int kSteps = 2;              // a frame, of which one does where light rests: of what a new cut changes, all but what is due is held back
 constexpr uint32_t kRestFrames = 60;   // it rests once it has been the same for so long
+constexpr uint32_t kArriveFrames = 20; // who has jumped has what was not there by then
 constexpr float kBuilds = 2;           // a tile may have to wait for the matrix that is being put together, and then for its own
 
 Error noLight(std::string place, const char* why) {
@@ -153,6 +154,9 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(observers);
+  LightPace pace = fade_.pace();
+  if (frames_since_jump_ < kArriveFrames) pace.most_change = 0;  // who has jumped sees nothing that he has seen before
+  solver_.pace(pace);
   const auto steps_start = Clock::now();
   const auto iterated = solver_.iterate(iterations != kAsLightNeeds ? iterations : rested_frames_ < kRestFrames ? kSteps : 1);
   stats.steps_ms = msSince(steps_start);
@@ -251,7 +255,9 @@ Result<bool> Updater::followCut() {
   if (const bool jumped = std::exchange(jumped_, false); whole || jumped) {
     fade_.finish();
     rested_frames_ = 0;
+    if (jumped) frames_since_jump_ = 0;
   }
+  ++frames_since_jump_;
   do {
     if (whole) cut_.await();
     if (auto asked = askForCut(whole); !asked) return asked.error();

@@ -148,6 +148,7 @@ class Updater {
   stream::Lead lead_;
   bool await_cut_ = false, jumped_ = false;  // for the next followCut()
   uint32_t rested_frames_ = 0;               // since light has changed, or somebody has jumped
+  uint32_t frames_since_jump_ = 0;           // of an observer
   bool missed_ = false;  // the solver has not taken up the last change: before_ is the light to go on from, by slot
   // Of prepare().
   struct Named {

@@ -84,6 +84,7 @@ Result<void> check(const FormfieldWorldSettings& s) {
   if (s.dense_places == 0 || s.dense_places > kMaxPlaces)
     return usageError("dense_places", "are not between 1 and " + std::to_string(kMaxPlaces), "4096 take 100 MiB in 16 bits");
   if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "8 is a good value");
+  if (!(s.fade_change >= 0 && s.fade_change <= 1e6f)) return usageError("fade_change", "is no number from 0 to 1e6", "0.02 is a good value");
   if (s.logged_frames > (1u << 20)) return usageError("logged_frames", "are more than a million");
   if (!(s.reload_seconds >= 0 && s.reload_seconds <= 1e6f)) return usageError("reload_seconds", "is not between 0 and 1e6", "1 is a good value, 0 turns it off");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");
@@ -188,7 +189,7 @@ Result<std::unique_ptr<Generation>> FormfieldWorld_T::openGeneration(SolverChoic
   FormfieldWorldSettings cut = settings;
   takeCut(*recommended, cut);
   if (cut.radius_m == 0) cut.radius_m = stream::StreamSettings().radius_m * opened->info().cell_m;  // which are of patches of 1 m: a world may be in any unit
-  GenerationSettings with{streamSettings(cut), {.frames = settings.fade_frames}, {}, settings.max_applied_tiles};
+  GenerationSettings with{streamSettings(cut), {.frames = settings.fade_frames, .most_change = settings.fade_change}, {}, settings.max_applied_tiles};
   if (settings.probes > 0) {
     with.probes.emplace();
     with.probes->rays = settings.probe_rays;
@@ -456,6 +457,7 @@ void formfieldDefaultWorldSettings(FormfieldWorldSettings* settings) {
   settings->probe_rays = 256;
   settings->probe_memory_bytes = uint64_t{64} << 20;
   settings->fade_frames = 8;
+  settings->fade_change = FadeSettings().most_change;
   settings->logged_frames = 1024;
 }
 

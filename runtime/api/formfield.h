@@ -107,6 +107,9 @@ typedef struct FormfieldWorldSettings {
                                   rarely, slots that are given out anew take all at once */
   float reload_seconds;        /* so often the world's file is looked at (one stat; behind a web server, one request for a byte), and when it was
                                   baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
+  float fade_change;           /* of the mean of what surfaces near observers reflect: by no more does a surface's light follow, in a frame, what fade_frames hold back, twice the radius
+                                  away or nearer, and farther away by so much times the cube of the distance; but where an observer would be there before, it follows sooner. 0.02;
+                                  0: no limit. Solvers on the CPU alone */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */

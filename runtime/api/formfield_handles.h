@@ -115,6 +115,7 @@ struct FormfieldWorld_T {
       return now().setRadiosity(b);
     }
     void ease(uint32_t frames) override { now().ease(frames); }
+    void pace(const ff::runtime::LightPace& p) override { now().pace(p); }
     ff::Result<void> iterate(int k) override { return records() ? world.solver.recording->record(k) : now().iterate(k); }
     ff::Result<void> approach(int k) override { return now().approach(k); }
     uint64_t repaired() const override { return now().repaired(); }

@@ -33,6 +33,8 @@ CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) :
 }
 
 float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
+  observers_ = observers;
+  frame_seconds_ = frame_seconds;
   if (settings_.frames == 0) return 0;
   const float speed = observers.fastest(), least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
   ease_frames_ = static_cast<uint32_t>(std::clamp(frames, least, std::max(least, kMaxEaseFrames)));

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "runtime/solver/light_pace.h"
 #include "shaders/shared.h"
 #include "stream/observers.h"
 
@@ -15,6 +16,7 @@ namespace ff::runtime {
 struct FadeSettings {
   uint32_t frames = 0;         // that light takes to follow a change of the cut, at least; 0: it does so at once, and tiles leave at once
   uint32_t max_nodes = 40960;  // of tiles that fade out; past it those that show least leave at once
+  float most_change = 0.02f;   // of the mean of what lies near: by so much a surface's light follows in a frame at most, if nobody will be there before; 0: no limit
 };
 
 // One thread calls. Nothing takes memory after the start.
@@ -35,6 +37,8 @@ class CutFade {
   void follow(const LocalMatrix& matrix, std::span<const FadingTile> fading, std::span<const uint32_t> entered, const stream::Observers& observers);
   // Over how many frames light follows it: by the way of the fastest observer, and as fast as may be where a tile has come late.
   uint32_t easeFrames() const { return came_late_ ? settings_.frames : ease_frames_; }
+  // And how fast, at most, in the frame that has begun.
+  LightPace pace() const { return {observers_, radii_m_, frame_seconds_, settings_.most_change}; }
   // A frame passes.
   void advance(const stream::Observers& observers);
   // Nothing fades in any more, and what fades out is gone by the next cut.
@@ -61,6 +65,8 @@ class CutFade {
   static constexpr float kLate = 0.9f;  // of a level's radius: what enters nearer than that has not come by an observer's way
   const FadeSettings settings_;
   const std::vector<float> radii_m_;
+  stream::Observers observers_;  // of the frame that has begun
+  float frame_seconds_ = 0;
   uint32_t ease_frames_;    // by the observers' way
   bool came_late_ = false;  // a tile of the last follow()
   bool one_has_gone_ = false, lets_go_ = false;  // for the next cut that is asked for

@@ -99,13 +99,21 @@ class Dense final : public DenseSolver {
   }
 
   void ease(uint32_t frames) override { held_.ease(frames); }
+  void pace(const LightPace& pace) override { held_.pace(pace); }
 
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
     const auto start = Clock::now();
     if (held_.due()) hold();
     if (held_.holds()) {
-      held_.released(held_.release(matrix_->leaves, source_));
+      const auto tiles = static_cast<uint32_t>(matrix_->tiles.size());
+      if (held_.isPaced(*matrix_)) {
+        for (uint32_t tile = 0; tile < tiles; ++tile) held_.look(*matrix_, tile, radiosity_);
+        held_.setLimits();
+      }
+      bool left = false;
+      for (uint32_t tile = 0; tile < tiles; ++tile) left |= held_.release(*matrix_, tile, source_);
+      held_.released(left);
       before_ = -1;
     }
     const uint32_t blocks =

@@ -18,6 +18,7 @@ namespace {
 
 constexpr uint32_t kPartRefined = 2048;  // slots of a part handed to a thread; a single part is done without a meeting
 constexpr uint32_t kPartChanged = 256;   // rows of one
+constexpr uint32_t kPartTiles = 32;      // tiles of one
 
 class CpuGather final : public Solver {
  public:
@@ -84,6 +85,7 @@ class CpuGather final : public Solver {
   }
 
   void ease(uint32_t frames) override { held_.ease(frames); }
+  void pace(const LightPace& pace) override { held_.pace(pace); }
 
   Result<void> iterate(int k) override {
     FF_CHECK_EQ(matrix_ != nullptr, true);
@@ -137,6 +139,14 @@ class CpuGather final : public Solver {
     const std::vector<uint32_t>& parts = matrix_->leaf_parts;
     pool_.run(static_cast<uint32_t>(parts.size() - 1), [&](uint32_t part) {
       work(std::span<const uint32_t>(matrix_->leaves).subspan(parts[part], parts[part + 1] - parts[part]), parts[part], parts[part + 1]);
+    });
+  }
+
+  template <class Work>  // work(tile), by number
+  void forTiles(Work&& work) {
+    const auto tiles = static_cast<uint32_t>(matrix_->tiles.size());
+    pool_.run((tiles + kPartTiles - 1) / kPartTiles, [&](uint32_t part) {
+      for (uint32_t tile = part * kPartTiles; tile < std::min(tiles, (part + 1) * kPartTiles); ++tile) work(tile);
     });
   }
 
@@ -196,9 +206,13 @@ class CpuGather final : public Solver {
 
   // A frame passes.
   void release() {
+    if (held_.isPaced(*matrix_)) {
+      forTiles([&](uint32_t tile) { held_.look(*matrix_, tile, from_); });
+      held_.setLimits();
+    }
     std::atomic<bool> left = false;
-    forLeaves([&](std::span<const uint32_t> leaves, uint32_t, uint32_t) {
-      if (held_.release(leaves, source_)) left = true;
+    forTiles([&](uint32_t tile) {
+      if (held_.release(*matrix_, tile, source_)) left = true;
     });
     held_.released(left);
   }

@@ -41,6 +41,10 @@ class Fallback final : public FallbackSolver {
     first_->ease(frames);
     second_->ease(frames);
   }
+  void pace(const LightPace& pace) override {
+    first_->pace(pace);
+    second_->pace(pace);
+  }
   Result<void> iterate(int k) override {
     return attempt([&](Solver& s) { return s.iterate(k); });
   }

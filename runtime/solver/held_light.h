@@ -1,13 +1,16 @@
-// What solvers on the CPU hold back of light after a change of the cut (Solver::ease). It stands beside the slots' sources, and goes evenly.
+// What solvers on the CPU hold back of light after a change of the cut (Solver::ease). It stands beside the slots' sources, and goes evenly, but for what would be too much in a
+// frame (Solver::pace).
 #pragma once
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <utility>
 #include <vector>
 
 #include "runtime/cut/local_matrix.h"
+#include "runtime/solver/light_pace.h"
 #include "runtime/solver/sound_light.h"
 
 namespace ff::runtime {
@@ -18,6 +21,7 @@ class HeldLight {
   HeldLight() {
     held_.reserve(kMaxSlots);
     lit_.reserve(kMaxSlots);
+    tiles_.reserve(kMaxSlots / 16);
   }
 
   void touch(uint32_t most_slots) {
@@ -28,6 +32,7 @@ class HeldLight {
     ease_frames_ = frames;
     if (frames == 0) letGo();
   }
+  void pace(const LightPace& pace) { pace_ = pace; }
   // The rows have changed. known: light is that of a step with the rows before them; else nothing is held back.
   void rowsChanged(uint32_t slots, bool known) {
     held_.resize(slots);
@@ -48,11 +53,40 @@ class HeldLight {
   }
 
   bool holds() const { return holds_; }
-  // A frame passes; whether anything is left. lit(): sources with what is held back still.
-  bool release(std::span<const uint32_t> leaves, std::span<const Vec4> source) {
+  // A frame passes: limits are set, if there are any, by look() at every tile and then setLimits(); then every tile is told.
+  bool isPaced(const LocalMatrix& matrix) {
+    tiles_.resize(matrix.tiles.size());
+    most_change_ = std::numeric_limits<float>::infinity();
+    return pace_.most_change > 0 && !matrix.places.empty();
+  }
+  void look(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> light) {
+    const SlotRange& range = matrix.tiles[tile];
+    PacedTile& paced = tiles_[tile];
+    paced = {pace_.of(range.id.level, matrix.places[tile].bounds), 0, 0};
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      if (!matrix.leaf[s]) continue;
+      paced.light += matrix.area_m2[s] * (light[s].x + light[s].y + light[s].z) / 3;
+      paced.area_m2 += matrix.area_m2[s];
+    }
+  }
+  // The mean is over surfaces, of which near ones count most.
+  void setLimits() {
+    double light = 0, area_m2 = 0;
+    for (const PacedTile& tile : tiles_) {
+      const double weight = 1 / (static_cast<double>(tile.pace.loosened) * static_cast<double>(tile.pace.loosened));
+      light += weight * static_cast<double>(tile.light);
+      area_m2 += weight * static_cast<double>(tile.area_m2);
+    }
+    if (light > 0) most_change_ = pace_.most_change * static_cast<float>(light / area_m2);
+  }
+  // Whether anything is left. lit(): sources with what is held back still.
+  bool release(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> source) {
+    const SlotRange& range = matrix.tiles[tile];
+    const float most = most_change_ * tiles_[tile].pace.loosened, due = tiles_[tile].pace.due;
     bool left = false;
-    for (const uint32_t s : leaves) {
-      left |= held_[s].release(ease_frames_);
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      if (!matrix.leaf[s]) continue;
+      left |= held_[s].release(ease_frames_, most, due);
       const Vec3& light = held_[s].light;
       lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
     }
@@ -75,17 +109,30 @@ class HeldLight {
       if (!(size(now) <= size(light) * shaders::kHeldGrown)) frames = most_frames;
       light = isSound(now.x) & isSound(now.y) & isSound(now.z) ? now : Vec3{};
     }
-    // A frame passes. It takes no longer than most_frames.
-    bool release(uint32_t most_frames) {
+    // A frame passes. It takes no longer than most_frames, but where more than `most` would go, and more than what is due.
+    bool release(uint32_t most_frames, float most, float due) {
       frames = std::min(frames, most_frames);
-      const float stays = frames > 1 ? static_cast<float>(frames - 1) / static_cast<float>(frames) : 0;
+      const float stays = frames > 1 ? static_cast<float>(frames - 1) / static_cast<float>(frames) : 0, now = size(light);
+      most = std::max(most, due * now);
+      if ((1 - stays) * now > most) {
+        light *= 1 - most / now;
+        frames = std::max(frames - 1, 1u);
+        return true;
+      }
       light *= stays;
       if (frames > 0) --frames;
       return frames > 0;
     }
     static float size(Vec3 v) { return std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}); }
   };
+  struct PacedTile {
+    LightPace::Tile pace;
+    float light, area_m2;  // of its leaves; W
+  };
   std::vector<Slot> held_;
+  std::vector<PacedTile> tiles_;  // of the matrix, for this frame
+  LightPace pace_;
+  float most_change_ = std::numeric_limits<float>::infinity();  // W/m2
   std::vector<Vec4> lit_;
   uint32_t ease_frames_ = 0;
   bool due_ = false;          // the rows have changed since the last step

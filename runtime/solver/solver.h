@@ -7,6 +7,7 @@
 
 #include "formats/result.h"
 #include "runtime/cut/local_matrix.h"
+#include "runtime/solver/light_pace.h"
 
 namespace ff::runtime {
 
@@ -36,6 +37,8 @@ class Solver {
   // once is held back: it stands beside the slot's source, and goes evenly. Nodes that enter begin with their parents' irradiance. A change of sources is
   // never held back. 0: what is held back goes now. The baselines do nothing.
   virtual void ease(uint32_t) {}
+  // By the next iterate(), and those after it, no slot's light follows by more than this, though it takes longer.
+  virtual void pace(const LightPace&) {}
   // k steps, after which refined slots are the mean of their children. What a step is, is the solver's: `gather` makes
   // one Jacobi iteration B <- M + albedo * F B, a dense one takes in all bounces at once.
   virtual Result<void> iterate(int k) = 0;

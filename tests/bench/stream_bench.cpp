@@ -49,6 +49,7 @@ struct Options {
   uint32_t max_applied_tiles = 0;
   uint64_t bytes_per_second = 0;
   uint32_t fade_frames = 8;  // as the C interface does
+  float fade_change = runtime::FadeSettings().most_change;
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false, real_time = false;
   int iterations() const { return solver == "gather" ? runtime::Updater::kAsLightNeeds : 1; }  // a frame, as the C interface does
 };
@@ -127,6 +128,7 @@ class TimedSolver final : public runtime::Solver {
   Result<void> setEnteredSource(std::span<const Vec4> source, const runtime::MatrixChange& c, bool stays) override { return timed(update_, [&] { return of_->setEnteredSource(source, c, stays); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return timed(update_, [&] { return of_->setRadiosity(b); }); }
   void ease(uint32_t frames) override { of_->ease(frames); }
+  void pace(const runtime::LightPace& pace) override { of_->pace(pace); }
   bool resolvesRows() const override { return of_->resolvesRows(); }
   Result<void> iterate(int k) override {
     if (auto* const recorder = dynamic_cast<runtime::VulkanRecorder*>(of_.get()); recorder && updater_)
@@ -265,7 +267,7 @@ void fly(const Options& options, const formats::WholeWorld& whole, SurfaceLight&
     const auto streamer = orExit(stream::Streamer::create(world, settings, std::move(source)));
     TimedSolver solver(makeSolver(options, world));
     Clock::time_point now_stepped = Clock::now();
-    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames}, options.max_applied_tiles,
+    runtime::Updater updater(world, *streamer, solver, runtime::FarLight::kPyramid, !options.in_frame, {.frames = options.fade_frames, .most_change = options.fade_change}, options.max_applied_tiles,
                              options.stepped ? stream::Now([&] { return now_stepped; }) : Clock::now);
     solver.follow(updater);
     orExit(updater.setSky(skyOf(options)));
@@ -447,6 +449,7 @@ void printReload(const formats::WholeWorld& whole, const std::string& name, cons
   settings.stream.radius_m *= whole.info().cell_m;
   settings.stream.background = true;
   settings.fade.frames = options.fade_frames;
+  settings.fade.most_change = options.fade_change;
   const auto open = [&] { return runtime::Generation::create(orExit(formats::World::open(whole.path())), settings, solver); };
   std::unique_ptr<runtime::Generation> shown = orExit(open());
   runtime::Reloader reloader(whole.path(), 0, "", *shown->world, open);
@@ -550,6 +553,7 @@ int main(int argc, char** argv) {
   app.add_flag("--day", options.day, "under a bright sky: lamps are on all the same");
   app.add_flag("--warm", options.warm, "leaves the files in the page cache");
   app.add_option("--fade", options.fade_frames, "frames that a tile takes to come or to go, at least; 0: it does so at once")->capture_default_str();
+  app.add_option("--change", options.fade_change, "of the mean of what lies near, that a surface's light may change in a frame for a new cut; 0: no limit")->check(CLI::Range(0.0f, 1e6f))->capture_default_str();
   app.add_flag("--in-frame", options.in_frame, "the streamer's work is done and new matrices are put together within the frame");
   app.add_flag("--unhurried", options.unhurried, "every frame waits until all is there: what changes of the cut cost by themselves");
   CLI11_PARSE(app, argc, argv);
