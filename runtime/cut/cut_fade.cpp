@@ -9,6 +9,8 @@ namespace {
 constexpr size_t kMaxTiles = kMaxSlots / 16;
 constexpr float kMaxFrames = 480;      // of a tile, where nobody comes nearer or goes away
 constexpr float kMaxEaseFrames = 120;  // of light, likewise
+constexpr float kHeadingFrames = 30;   // of an observer's mean velocity
+constexpr float kStraight = 0.87f;     // cosine: who goes farther off that turns
 constexpr float kFades = 1.2f;         // so many times the frames that light takes it has, until it has to have followed
 // Of a level's radius:
 constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
@@ -35,6 +37,12 @@ CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) :
 float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
   observers_ = observers;
   frame_seconds_ = frame_seconds;
+  turns_ = false;
+  for (size_t i = 0; i < observers.size(); ++i) {
+    const Vec3 velocity = observers[i].velocity;
+    headings_[i] += (velocity - headings_[i]) * (1 / kHeadingFrames);
+    turns_ |= dot(headings_[i], velocity) < kStraight * length(headings_[i]) * length(velocity);
+  }
   if (settings_.frames == 0) return 0;
   const float speed = observers.fastest(), least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
   ease_frames_ = static_cast<uint32_t>(std::clamp(frames, least, std::max(least, kMaxEaseFrames)));

@@ -2,6 +2,7 @@
 // where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it, evenly with the distance's cube. So what changes slowly is what an
 // observer passes slowly, and what is seen large. How the light itself follows a new cut is the solver's (Solver::ease); how fast, by the observers' way too, is told here.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -37,8 +38,8 @@ class CutFade {
   void follow(const LocalMatrix& matrix, std::span<const FadingTile> fading, std::span<const uint32_t> entered, const stream::Observers& observers);
   // Over how many frames light follows it: by the way of the fastest observer, and as fast as may be where a tile has come late.
   uint32_t easeFrames() const { return came_late_ ? settings_.frames : ease_frames_; }
-  // And how fast, at most, in the frame that has begun.
-  LightPace pace() const { return {observers_, radii_m_, frame_seconds_, settings_.most_change}; }
+  // And how fast, at most, in the frame that has begun. While somebody turns ten times as fast: else light would come later to what he looks at, and as much would change.
+  LightPace pace() const { return {observers_, radii_m_, frame_seconds_, settings_.most_change * (turns_ ? 10.0f : 1.0f)}; }
   // A frame passes.
   void advance(const stream::Observers& observers);
   // Nothing fades in any more, and what fades out is gone by the next cut.
@@ -67,6 +68,8 @@ class CutFade {
   const std::vector<float> radii_m_;
   stream::Observers observers_;  // of the frame that has begun
   float frame_seconds_ = 0;
+  std::array<Vec3, stream::kMaxObservers> headings_{};  // their velocities, over a while
+  bool turns_ = false;
   uint32_t ease_frames_;    // by the observers' way
   bool came_late_ = false;  // a tile of the last follow()
   bool one_has_gone_ = false, lets_go_ = false;  // for the next cut that is asked for

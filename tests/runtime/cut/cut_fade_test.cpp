@@ -109,6 +109,24 @@ TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
   EXPECT_EQ(slower.easeFrames(), 300u);
 }
 
+TEST(CutFade, LightMayFollowFasterWhileSomebodyTurns) {
+  const std::vector<float> radii_m{16, 20};
+  CutFade fade({.frames = 8, .most_change = 0.02f}, radii_m);
+  const auto limited = [&](Vec3 velocity, int frames) {
+    for (int frame = 0; frame < frames; ++frame) (void)fade.begin(stream::Observer{{}, velocity}, 1.0f / 60);
+    return fade.pace().most_change < 0.03f;
+  };
+  EXPECT_TRUE(limited({}, 1));
+  EXPECT_TRUE(limited({0, 0, 30}, 1)) << "sets out";
+  EXPECT_TRUE(limited({0, 0, 30}, 60));
+  EXPECT_TRUE(limited({5, 0, 30}, 1));
+  EXPECT_FALSE(limited({30, 0, 0}, 1));
+  EXPECT_FALSE(limited({30, 0, 0}, 20));
+  EXPECT_TRUE(limited({30, 0, 0}, 20));
+  EXPECT_FALSE(limited({-30, 0, 0}, 1));
+  EXPECT_TRUE(limited({}, 1)) << "stands still";
+}
+
 // Flies along a line, everything there in time.
 struct Flight {
   Flight(const TestWorld& world, const FadeSettings& fade)
