@@ -154,7 +154,7 @@ Result<FrameStats> Updater::frame(const stream::Observers& observers, int iterat
   stats.stream_ms = stream_ms;
   stats.matrix_ms = msSince(matrix_start);
   fade_.advance(observers);
-  LightPace pace = fade_.pace();
+  LightPace pace = fade_.pace(observers, frame_seconds_);
   if (frames_since_jump_ < kArriveFrames) pace.most_change = 0;  // who has jumped sees nothing that he has seen before
   solver_.pace(pace);
   const auto steps_start = Clock::now();

@@ -35,8 +35,6 @@ CutFade::CutFade(const FadeSettings& settings, std::span<const float> radii_m) :
 }
 
 float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
-  observers_ = observers;
-  frame_seconds_ = frame_seconds;
   turns_ = false;
   for (size_t i = 0; i < observers.size(); ++i) {
     const Vec3 velocity = observers[i].velocity;

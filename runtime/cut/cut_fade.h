@@ -38,8 +38,8 @@ class CutFade {
   void follow(const LocalMatrix& matrix, std::span<const FadingTile> fading, std::span<const uint32_t> entered, const stream::Observers& observers);
   // Over how many frames light follows it: by the way of the fastest observer, and as fast as may be where a tile has come late.
   uint32_t easeFrames() const { return came_late_ ? settings_.frames : ease_frames_; }
-  // And how fast, at most, in the frame that has begun. While somebody turns ten times as fast: else light would come later to what he looks at, and as much would change.
-  LightPace pace() const { return {observers_, radii_m_, frame_seconds_, settings_.most_change * (turns_ ? 10.0f : 1.0f)}; }
+  // And how fast, at most, in the frame that has begun with these. While somebody turns ten times as fast: else light would come later to what he looks at, and as much would change.
+  LightPace pace(const stream::Observers& observers, float frame_seconds) const { return {observers, radii_m_, frame_seconds, settings_.most_change * (turns_ ? 10.0f : 1.0f)}; }
   // A frame passes.
   void advance(const stream::Observers& observers);
   // Nothing fades in any more, and what fades out is gone by the next cut.
@@ -66,9 +66,7 @@ class CutFade {
   static constexpr float kLate = 0.9f;  // of a level's radius: what enters nearer than that has not come by an observer's way
   const FadeSettings settings_;
   const std::vector<float> radii_m_;
-  stream::Observers observers_;  // of the frame that has begun
-  float frame_seconds_ = 0;
-  std::array<Vec3, stream::kMaxObservers> headings_{};  // their velocities, over a while
+  std::array<Vec3, stream::kMaxObservers> headings_{};  // observers' velocities, over a while
   bool turns_ = false;
   uint32_t ease_frames_;    // by the observers' way
   bool came_late_ = false;  // a tile of the last follow()

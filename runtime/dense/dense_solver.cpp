@@ -106,14 +106,9 @@ class Dense final : public DenseSolver {
     const auto start = Clock::now();
     if (held_.due()) hold();
     if (held_.holds()) {
-      const auto tiles = static_cast<uint32_t>(matrix_->tiles.size());
-      if (held_.isPaced(*matrix_)) {
-        for (uint32_t tile = 0; tile < tiles; ++tile) held_.look(*matrix_, tile, radiosity_);
-        held_.setLimits();
-      }
-      bool left = false;
-      for (uint32_t tile = 0; tile < tiles; ++tile) left |= held_.release(*matrix_, tile, source_);
-      held_.released(left);
+      held_.release(*matrix_, radiosity_, source_, [&](auto&& work) {
+        for (uint32_t tile = 0; tile < matrix_->tiles.size(); ++tile) work(tile);
+      });
       before_ = -1;
     }
     const uint32_t blocks =

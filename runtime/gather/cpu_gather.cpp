@@ -92,7 +92,7 @@ class CpuGather final : public Solver {
     const auto start = Clock::now();
     enter();
     if (held_.due()) hold();
-    if (held_.holds()) release();
+    if (held_.holds()) held_.release(*matrix_, from_, source_, [&](auto&& work) { forTiles(work); });
     for (int i = 0; i < k; ++i) step();
     last_ms_ = msSince(start);
     return {};
@@ -202,19 +202,6 @@ class CpuGather final : public Solver {
       for (uint32_t r = begin; r < end; ++r) held_.take(rows[r], from_[rows[r]] + before_[rows[r]] * Vec4{-1, -1, -1, 0});
     });
     held_.taken();
-  }
-
-  // A frame passes.
-  void release() {
-    if (held_.isPaced(*matrix_)) {
-      forTiles([&](uint32_t tile) { held_.look(*matrix_, tile, from_); });
-      held_.setLimits();
-    }
-    std::atomic<bool> left = false;
-    forTiles([&](uint32_t tile) {
-      if (held_.release(*matrix_, tile, source_)) left = true;
-    });
-    held_.released(left);
   }
 
   GatherJob jobOf(const std::vector<Vec4>& source, const std::vector<Vec4>& from, std::vector<Vec4>& to) const {

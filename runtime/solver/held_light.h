@@ -2,6 +2,7 @@
 // frame (Solver::pace).
 #pragma once
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -53,46 +54,22 @@ class HeldLight {
   }
 
   bool holds() const { return holds_; }
-  // A frame passes: limits are set, if there are any, by look() at every tile and then setLimits(); then every tile is told.
-  bool isPaced(const LocalMatrix& matrix) {
+  // A frame passes. light: what slots reflect; source: of all slots; forTiles(work): calls work(tile) for every tile of the matrix, from any threads.
+  template <class ForTiles>
+  void release(const LocalMatrix& matrix, std::span<const Vec4> light, std::span<const Vec4> source, ForTiles&& forTiles) {
     tiles_.resize(matrix.tiles.size());
     most_change_ = std::numeric_limits<float>::infinity();
-    return pace_.most_change > 0 && !matrix.places.empty();
-  }
-  void look(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> light) {
-    const SlotRange& range = matrix.tiles[tile];
-    PacedTile& paced = tiles_[tile];
-    paced = {pace_.of(range.id.level, matrix.places[tile].bounds), 0, 0};
-    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
-      if (!matrix.leaf[s]) continue;
-      paced.light += matrix.area_m2[s] * (light[s].x + light[s].y + light[s].z) / 3;
-      paced.area_m2 += matrix.area_m2[s];
+    if (pace_.most_change > 0 && !matrix.places.empty()) {
+      forTiles([&](uint32_t tile) { look(matrix, tile, light); });
+      setLimits();
     }
+    std::atomic<bool> left = false;
+    forTiles([&](uint32_t tile) {
+      if (release(matrix, tile, source)) left = true;
+    });
+    holds_ = left;
   }
-  // The mean is over surfaces, of which near ones count most.
-  void setLimits() {
-    double light = 0, area_m2 = 0;
-    for (const PacedTile& tile : tiles_) {
-      const double weight = 1 / (static_cast<double>(tile.pace.loosened) * static_cast<double>(tile.pace.loosened));
-      light += weight * static_cast<double>(tile.light);
-      area_m2 += weight * static_cast<double>(tile.area_m2);
-    }
-    if (light > 0) most_change_ = pace_.most_change * static_cast<float>(light / area_m2);
-  }
-  // Whether anything is left. lit(): sources with what is held back still.
-  bool release(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> source) {
-    const SlotRange& range = matrix.tiles[tile];
-    const float most = most_change_ * tiles_[tile].pace.loosened, due = tiles_[tile].pace.due;
-    bool left = false;
-    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
-      if (!matrix.leaf[s]) continue;
-      left |= held_[s].release(ease_frames_, most, due);
-      const Vec3& light = held_[s].light;
-      lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
-    }
-    return left;
-  }
-  void released(bool left) { holds_ = left; }
+  // Sources with what is held back still.
   const std::vector<Vec4>& lit() const { return lit_; }
   void letGo() {
     if (holds_) std::ranges::fill(held_, Slot{});
@@ -129,6 +106,41 @@ class HeldLight {
     LightPace::Tile pace;
     float light, area_m2;  // of its leaves; W
   };
+
+  void look(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> light) {
+    const SlotRange& range = matrix.tiles[tile];
+    PacedTile& paced = tiles_[tile];
+    paced = {pace_.of(range.id.level, matrix.places[tile].bounds), 0, 0};
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      if (!matrix.leaf[s]) continue;
+      paced.light += matrix.area_m2[s] * (light[s].x + light[s].y + light[s].z) / 3;
+      paced.area_m2 += matrix.area_m2[s];
+    }
+  }
+  // The mean is over surfaces, of which near ones count most.
+  void setLimits() {
+    double light = 0, area_m2 = 0;
+    for (const PacedTile& tile : tiles_) {
+      const double weight = 1 / (static_cast<double>(tile.pace.loosened) * static_cast<double>(tile.pace.loosened));
+      light += weight * static_cast<double>(tile.light);
+      area_m2 += weight * static_cast<double>(tile.area_m2);
+    }
+    if (light > 0) most_change_ = pace_.most_change * static_cast<float>(light / area_m2);
+  }
+  // Whether anything is left.
+  bool release(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> source) {
+    const SlotRange& range = matrix.tiles[tile];
+    const float most = most_change_ * tiles_[tile].pace.loosened, due = tiles_[tile].pace.due;
+    bool left = false;
+    for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
+      if (!matrix.leaf[s]) continue;
+      left |= held_[s].release(ease_frames_, most, due);
+      const Vec3& light = held_[s].light;
+      lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
+    }
+    return left;
+  }
+
   std::vector<Slot> held_;
   std::vector<PacedTile> tiles_;  // of the matrix, for this frame
   LightPace pace_;

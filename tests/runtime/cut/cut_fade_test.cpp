@@ -15,9 +15,10 @@ namespace {
 
 const stream::SyntheticSettings kWorld{.side = 64, .tile_nodes = 40, .seed = 2};
 
-INSTANTIATE_TEST_SUITE_P(Cpu, Ease, testing::Values(EaseCase{"Gather", 64, [] { return makeCpuGather(2); }}, EaseCase{"Multibounce", 16, [] {
+const auto kCpuSolvers = testing::Values(EaseCase{"Gather", 64, [] { return makeCpuGather(2); }}, EaseCase{"Multibounce", 16, [] {
   return std::unique_ptr<Solver>(makeDenseSolver(std::move(*makeCpuMultibounce({.places = 512})), {}));
-}}), [](const auto& each) { return each.param.name; });
+}});
+INSTANTIATE_TEST_SUITE_P(Cpu, Ease, kCpuSolvers, [](const auto& each) { return each.param.name; });
 
 const std::vector<float> kRadii_m(12, 200.0f);
 
@@ -36,9 +37,7 @@ float meanOf(const LocalMatrix& m, const std::vector<Vec4>& light) {
 }
 
 class Paced : public Ease {};
-INSTANTIATE_TEST_SUITE_P(Cpu, Paced, testing::Values(EaseCase{"Gather", 64, [] { return makeCpuGather(2); }}, EaseCase{"Multibounce", 16, [] {
-  return std::unique_ptr<Solver>(makeDenseSolver(std::move(*makeCpuMultibounce({.places = 512})), {}));
-}}), [](const auto& each) { return each.param.name; });
+INSTANTIATE_TEST_SUITE_P(Cpu, Paced, kCpuSolvers, [](const auto& each) { return each.param.name; });
 
 TEST_P(Paced, LightFollowsByNoMoreInAFrameThanItMayAndEndsWhereItWouldHaveBeenAtOnce) {
   const TestWorld test(world());
@@ -113,8 +112,9 @@ TEST(CutFade, LightMayFollowFasterWhileSomebodyTurns) {
   const std::vector<float> radii_m{16, 20};
   CutFade fade({.frames = 8, .most_change = 0.02f}, radii_m);
   const auto limited = [&](Vec3 velocity, int frames) {
-    for (int frame = 0; frame < frames; ++frame) (void)fade.begin(stream::Observer{{}, velocity}, 1.0f / 60);
-    return fade.pace().most_change < 0.03f;
+    const stream::Observer observer{{}, velocity};
+    for (int frame = 0; frame < frames; ++frame) (void)fade.begin(observer, 1.0f / 60);
+    return fade.pace(observer, 1.0f / 60).most_change < 0.03f;
   };
   EXPECT_TRUE(limited({}, 1));
   EXPECT_TRUE(limited({0, 0, 30}, 1)) << "sets out";
