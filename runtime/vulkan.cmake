@@ -3,7 +3,7 @@ ff_room(ff_runtime_vulkan
   dense/vk_baseline.cpp dense/vk_bounce_steps.cpp dense/vk_dense_step.cpp dense/vk_multibounce.cpp dense/vk_plain_local.cpp dense/vk_seed.cpp
   gather/gather_layout.cpp gather/vk_gather.cpp vulkan/buffer.cpp vulkan/device.cpp vulkan/pipeline.cpp)
 target_link_libraries(ff_runtime_vulkan PUBLIC ff_runtime PRIVATE Vulkan::Vulkan)
-foreach(step ease fade gather gather_enter gather_kinds gather_change gather_leave refine resolve shine)
+foreach(step ease fade gather gather_enter gather_kinds gather_change gather_leave pace pace_limit refine resolve shine)
   ff_embed_spirv(ff_runtime_vulkan shaders/${step}.comp NAME ${step}_comp)
 endforeach()
 ff_embed_spirv(ff_runtime_vulkan shaders/gather.comp NAME gather_hold_comp DEFINES HOLD=1)

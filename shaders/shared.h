@@ -22,7 +22,7 @@ struct alignas(16) mat4 {
 // but a thousandth. Its square times 65536 is still a number.
 FF_CONST float kMaxRadiosity = 1e15f;
 
-// --- gather*.comp, ease.comp, fade.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
+// --- gather*.comp, pace*.comp, ease.comp, fade.comp, resolve.comp, refine.comp: the sparse local matrix; runtime/gather/vk_gather.cpp ---
 FF_CONST uint kGatherGroup = 64u;       // invocations of a work group: 64 / subgroup size rows at once
 FF_CONST uint kRefineGroup = 64u;
 FF_CONST uint kEntriesPerLoad = 4u;     // rows are padded to whole uvec4
@@ -31,6 +31,7 @@ FF_CONST uint kCountMask = (1u << kCountBits) - 1u;
 FF_CONST uint kPageNodes = 256u;        // columns of a page of the page table
 FF_CONST uint kPageWords = 1u + kPageNodes / 4u;  // of a page: the first slot, and each column's number from there on, four to a word
 FF_CONST uint kNodeWords = 7u;          // of a packed tile: albedo r, g, b, area, 1 / Q, parent's slot, next sibling's
+FF_CONST uint kPlaceWords = 7u;         // at the end of a packed tile: what bounds it, lowest x, y, z and highest, m; its level
 FF_CONST uint kTopSlot = 0xffffffffu;   // for a parent's slot: there is none
 FF_CONST uint kFreeSlot = 0xfffffffeu;  // the slot itself is free
 FF_CONST uint kFree = 0u;               // kinds of slots
@@ -45,7 +46,7 @@ struct GatherRow {
   float scale;   // 1 / Q
 };
 // A tile to take up or to resolve. Its words in the packed buffer: run_start and row_start (nodes + 1 each), the nodes, the
-// runs (words << 16 | partner), the page of each partner, then 16-bit words (column << 8 | count), two to a word.
+// runs (words << 16 | partner), the page of each partner, 16-bit words (column << 8 | count), two to a word; then its place.
 struct TileJob {
   uint first_slot;
   uint nodes;
@@ -79,15 +80,43 @@ struct GatherPush {
 struct ChangePush {
   uint slots;
 };
-// ease.comp
+// pace.comp, pace_limit.comp, ease.comp: how fast what is held back goes (runtime/solver/light_pace.h)
+FF_CONST uint kMostObservers = 16u;
+FF_CONST uint kMostLevels = 16u;
+FF_CONST float kNoLimit = 1e30f;
+struct PaceFrame {
+  vec4 at[kMostObservers], next[kMostObservers];  // where observers are, and will be in the next frame, m
+  float radii_m[kMostLevels];
+  uint observers;
+  float near_m, at_hand_m;
+  float most_change;  // of the mean
+};
+struct TilePace {
+  float loosened;  // so many times the limit holds
+  float due;       // of what is held back, at least so much goes in this frame
+};
+struct PacedLight {  // of a tile's leaves, as far as it counts for the mean
+  float light, area_m2;  // W
+};
+struct EaseState {
+  float most;         // by so much a slot's light follows in a frame, W/m2; kNoLimit: no matter how much
+  uint last_holding;  // the last record after which anything was held back still
+};
+struct PacePush {
+  uint tiles;
+};
 struct EasePush {
   uint slots;
-  uint along;  // 1: radiosity goes along
+  uint along;    // 1: radiosity goes along
+  uint frames;   // that what is held back takes to go
+  uint record;   // number of this one
+  uint limited;  // 1: paces and EaseState::most are of this frame; 0: there is no limit
 };
 // Consecutive slots. Those with one parent name each other in a ring (LocalMatrix::next_sibling), all within the span.
 struct SlotSpan {
   uint first_slot;
   uint slots;
+  uint place_at;  // of a tile: word of the packed buffer
 };
 // Consecutive slots whose tile fades out.
 struct FadingSlots {

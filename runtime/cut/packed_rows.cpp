@@ -12,11 +12,12 @@ PackedShape packedShape(const stream::ResidentStrip& strip, size_t partners) {
   PackedShape shape;
   shape.pages_at = 2 * (nodes + 1) + shaders::kNodeWords * nodes + strip.run_start[nodes];
   shape.words_at = shape.pages_at + static_cast<uint32_t>(partners);
-  shape.words = shape.words_at + (strip.row_start[nodes] + 1) / 2;
+  shape.place_at = shape.words_at + (strip.row_start[nodes] + 1) / 2;
+  shape.words = shape.place_at + shaders::kPlaceWords;
   return shape;
 }
 
-void writePacked(const LocalMatrix& matrix, const SlotRange& range, const stream::ResidentStrip& strip, std::span<const uint32_t> partner_pages, uint32_t* words) {
+void writePacked(const LocalMatrix& matrix, const SlotRange& range, const Box& bounds, const stream::ResidentStrip& strip, std::span<const uint32_t> partner_pages, uint32_t* words) {
   uint32_t* at = std::copy(strip.run_start.begin(), strip.run_start.end(), words);
   at = std::copy(strip.row_start.begin(), strip.row_start.end(), at);
   for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
@@ -30,6 +31,9 @@ void writePacked(const LocalMatrix& matrix, const SlotRange& range, const stream
   at = std::copy(partner_pages.begin(), partner_pages.end(), at);
   for (size_t w = 0; w < strip.words.size(); w += 2)
     *at++ = strip.words[w] | (w + 1 < strip.words.size() ? uint32_t{strip.words[w + 1]} << 16 : 0u);
+  for (const Vec3& corner : {bounds.lo, bounds.hi})
+    for (const float x : {corner.x, corner.y, corner.z}) *at++ = std::bit_cast<uint32_t>(x);
+  *at = range.id.level;
 }
 
 void PackedChange::write(const LocalMatrix& matrix, const MatrixChange& change) {
@@ -41,7 +45,7 @@ void PackedChange::write(const LocalMatrix& matrix, const MatrixChange& change) 
     const size_t at = words_.size();
     if (at + shape.words > kMostWords) break;
     words_.resize(at + shape.words);
-    writePacked(matrix, matrix.tiles[t], *rows.strip, rows.partner_pages, words_.data() + at);
+    writePacked(matrix, matrix.tiles[t], matrix.places[t].bounds, *rows.strip, rows.partner_pages, words_.data() + at);
     tile_at_.push_back(words_.size());
   }
   pages_.clear();

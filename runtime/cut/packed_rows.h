@@ -11,11 +11,11 @@ namespace ff::runtime {
 
 // Where what of a tile lies, in words of 32 bits from its first.
 struct PackedShape {
-  uint32_t pages_at = 0, words_at = 0, words = 0;  // words: of all of it
+  uint32_t pages_at = 0, words_at = 0, place_at = 0, words = 0;  // words: of all of it
 };
 PackedShape packedShape(const stream::ResidentStrip& strip, size_t partners);
-// Writes that many words. partner_pages: numbers of its partners' pages.
-void writePacked(const LocalMatrix& matrix, const SlotRange& range, const stream::ResidentStrip& strip, std::span<const uint32_t> partner_pages, uint32_t* words);
+// Writes that many words. bounds: of the tile. partner_pages: numbers of its partners' pages.
+void writePacked(const LocalMatrix& matrix, const SlotRange& range, const Box& bounds, const stream::ResidentStrip& strip, std::span<const uint32_t> partner_pages, uint32_t* words);
 
 // What a change brings, one after the other: a frame copies it as it is.
 class PackedChange {

@@ -15,6 +15,8 @@
 #include "gather_hold_comp.h"
 #include "gather_kinds_comp.h"
 #include "gather_leave_comp.h"
+#include "pace_comp.h"
+#include "pace_limit_comp.h"
 #include "refine_comp.h"
 #include "resolve_comp.h"
 #include "runtime/cut/packed_rows.h"
@@ -36,11 +38,28 @@ constexpr int kIterationsPerSubmit = 32;  // keeps a submission far below a driv
 constexpr uint32_t kQueries = 3;           // before the change, before the iterations, after them
 constexpr uint64_t kVectorBytes = 16, kPageBytes = shaders::kPageWords * sizeof(uint32_t);
 static_assert(kPageBytes == sizeof(PageTable::Page));
+static_assert(shaders::kMostObservers == stream::kMaxObservers && shaders::kMostLevels == formats::kMaxLevels);
 
 VkDescriptorBufferInfo whole(const Buffer& b) { return {b.handle(), 0, VK_WHOLE_SIZE}; }
 
 Error tooSmall(const std::string& message) {
   return Error{ErrorCode::kIo, "", "vulkan", message, "raise the capacity", ErrorCause::kOutOfDeviceMemory};
+}
+
+shaders::PaceFrame frameOf(const LightPace& pace) {
+  shaders::PaceFrame frame{};
+  const auto point = [](Vec3 p) { return shaders::vec4{p.x, p.y, p.z, 0}; };
+  frame.observers = static_cast<uint32_t>(pace.observers.size());
+  for (size_t i = 0; i < pace.observers.size(); ++i) {
+    const stream::Observer& observer = pace.observers[i];
+    frame.at[i] = point(observer.at);
+    frame.next[i] = point(observer.at + observer.velocity * pace.frame_seconds);
+  }
+  std::ranges::copy(pace.radii_m, frame.radii_m);
+  frame.near_m = pace.nearM();
+  frame.at_hand_m = pace.atHandM();
+  frame.most_change = pace.most_change;
+  return frame;
 }
 
 class VulkanGather final : public VulkanRecorder {
@@ -57,6 +76,7 @@ class VulkanGather final : public VulkanRecorder {
   Result<void> setSource(std::span<const Vec4> source) override;
   Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool stays) override;
   void ease(uint32_t frames) override;
+  void pace(const LightPace& pace) override { light_pace_ = pace.most_change > 0 ? frameOf(pace) : shaders::PaceFrame{}; }
   Result<void> iterate(int k) override;
   Result<void> approach(int k) override;
   Result<void> radiosity(std::span<Vec4> out) override;
@@ -104,13 +124,16 @@ class VulkanGather final : public VulkanRecorder {
   void recordCopies(VkCommandBuffer c);
   void recordChange(VkCommandBuffer c);
   void recordHold(VkCommandBuffer c);
+  void lookWhetherAnyIsHeld(uint32_t frame);
+  void recordEase(VkCommandBuffer c, uint32_t frame);
   void recordRefine(VkCommandBuffer c, uint32_t buffer);
   void recordIteration(VkCommandBuffer c, bool first, float omega);
-  // omega(): of the next step. frames: that pass before them.
+  // omega(): of the next step. passes: a frame passes before them.
   template <class Omega>
-  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega, int frames);
+  Result<void> recordSteps(VkCommandBuffer c, int steps, Omega&& omega, bool passes);
   template <class Omega>
-  Result<void> runSteps(int steps, Omega&& omega, int frames = 0);
+  Result<void> runSteps(int steps, Omega&& omega, bool passes = false);
+  uint32_t recordNumber() const { return static_cast<uint32_t>(frame_) + 1; }  // of the next one, on the device
   void recordSeen(VkCommandBuffer c);
   Result<double> runMeasuredStep();
   void dispatchJobs(VkCommandBuffer c, const ComputePipeline& pipeline, VkDescriptorSet set, const Jobs& jobs) const;
@@ -124,18 +147,20 @@ class VulkanGather final : public VulkanRecorder {
   VulkanGatherSettings settings_;
   std::unique_ptr<GatherCorrection> correction_;  // may be null
   std::string name_ = "vulkan: " + context_->deviceName();
-  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, ease_, change_, refine_, fade_, shine_;
+  ComputePipeline leave_, enter_, kinds_pass_, resolve_, gather_, gather_further_, hold_, pace_pass_, pace_limit_, ease_, change_, refine_, fade_, shine_;
   Buffer rows_, entries_, packed_, pages_, albedo_, parents_, siblings_, kinds_, source_, jobs_, spans_, emission_, fading_, weights_, output_, staging_;
   Buffer seen_;         // radiosity_[now_], brought to the host by the last submission of our own
   Buffer held_;         // what is held back of light, and for how many frames
   Buffer last_source_;  // source_ of the last step
+  Buffer pace_frame_, paces_, paced_lights_, ease_state_;
+  Buffer last_holding_;  // of ease_state_, brought to the host
   Buffer faults_;   // one word: values repaired in steps
   Buffer changes_;  // of runMeasuredStep(): a float a work group
   Buffer radiosity_[2];  // reflected
   uint32_t now_ = 0;     // radiosity_[now_] is the current one
   StorageSets sets_;
   VkDescriptorSet leave_set_ = VK_NULL_HANDLE, kinds_set_ = VK_NULL_HANDLE, fade_set_ = VK_NULL_HANDLE;
-  VkDescriptorSet ease_set_[2] = {}, enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
+  VkDescriptorSet pace_set_[2] = {}, pace_limit_set_ = VK_NULL_HANDLE, ease_set_[2] = {}, enter_set_[2] = {}, refine_set_[2] = {}, shine_set_[2] = {};  // [radiosity buffer]
   VkDescriptorSet change_set_[2] = {};                         // [now_], before the step
   std::vector<VkDescriptorSet> resolve_sets_, gather_sets_[2], hold_sets_[2];  // [segment], [now_][segment]
   Handle<VkQueryPool, vkDestroyQueryPool> queries_;             // kQueries a frame in flight
@@ -159,7 +184,10 @@ class VulkanGather final : public VulkanRecorder {
   uint32_t ease_frames_ = 0;
   bool stepped_ = false;    // radiosity_[now_] is what a step came to, radiosity_[1 - now_] what it came from
   bool to_hold_ = false;    // rows have changed since
-  uint32_t holding_ = 0;    // frames until held_ is all zero
+  bool holding_ = false;    // held_ may not be all zero
+  std::vector<uint8_t> eased_;  // per frame in flight: ease.comp ran there, and nothing was held anew since
+  shaders::PaceFrame light_pace_{};  // of the next record()
+  uint32_t paced_tiles_ = 0;  // of span_list_
   bool let_go_ = false;     // it has to be, now
   bool seen_holds_ = false;
   uint64_t frame_ = 0, region_bytes_ = 0, region_used_ = 0;
@@ -200,6 +228,7 @@ Result<void> VulkanGather::start() {
   for (auto* list : {&copies_to_source_, &copies_to_emission_}) list->reserve(settings_.tiles);
   for (auto* list : {&copies_to_jobs_, &copies_to_spans_, &copies_to_later_source_, &copies_to_radiosity_, &copies_to_fading_}) list->reserve(1);
   timed_.assign(settings_.frames_in_flight, 0);
+  eased_.assign(settings_.frames_in_flight, 0);
   if (auto r = makePipelines(); !r) return r;
   if (auto r = makeBuffers(); !r) return r;
   if (auto r = makeSets(); !r) return r;
@@ -211,7 +240,7 @@ Result<void> VulkanGather::start() {
       return vkError("vkCreateQueryPool", r);
   }
   auto cleared = context_->run([&](VkCommandBuffer c) {
-    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &weights_, &radiosity_[0], &radiosity_[1], &kinds_, &held_, &last_source_})
+    for (const Buffer* b : {&rows_, &albedo_, &source_, &emission_, &output_, &weights_, &radiosity_[0], &radiosity_[1], &kinds_, &held_, &last_source_, &ease_state_})
       vkCmdFillBuffer(c, b->handle(), 0, VK_WHOLE_SIZE, 0);
     vkCmdFillBuffer(c, parents_.handle(), 0, VK_WHOLE_SIZE, shaders::kFreeSlot);
   });
@@ -240,7 +269,9 @@ Result<void> VulkanGather::makePipelines() {
                          {&gather_, gather_comp, 9, sizeof(shaders::GatherPush)},
                          {&gather_further_, gather_comp, 9, sizeof(shaders::GatherPush), true},
                          {&hold_, gather_hold_comp, 9, sizeof(shaders::GatherPush)},
-                         {&ease_, ease_comp, 2, sizeof(shaders::EasePush)},
+                         {&pace_pass_, pace_comp, 8, 0},
+                         {&pace_limit_, pace_limit_comp, 3, sizeof(shaders::PacePush)},
+                         {&ease_, ease_comp, 4, sizeof(shaders::EasePush)},
                          {&change_, gather_change_comp, 4, sizeof(shaders::ChangePush)},
                          {&refine_, refine_comp, 5, sizeof(shaders::RefinePush)},
                          {&fade_, fade_comp, 2, sizeof(shaders::FadePush)},
@@ -282,6 +313,11 @@ Result<void> VulkanGather::makeBuffers() {
       {&weights_, slots * 2 * sizeof(uint32_t)},
       {&held_, slots * sizeof(Vec4)},
       {&last_source_, slots * sizeof(Vec4)},
+      {&pace_frame_, sizeof(shaders::PaceFrame)},
+      {&paces_, slots * sizeof(shaders::TilePace)},
+      {&paced_lights_, settings_.tiles * sizeof(shaders::PacedLight)},
+      {&ease_state_, sizeof(shaders::EaseState)},
+      {&last_holding_, sizeof(uint32_t), MemoryUse::kHost},
       {&faults_, sizeof(uint32_t), MemoryUse::kHost},
       {&changes_, groupsOf(settings_.slots, shaders::kGatherGroup) * sizeof(float), MemoryUse::kHost},
       {&radiosity_[0], slots * sizeof(Vec4)},
@@ -293,12 +329,12 @@ Result<void> VulkanGather::makeBuffers() {
     if (!b) return b.error();
     *w.buffer = std::move(*b);
   }
-  std::memset(faults_.mapped(), 0, sizeof(uint32_t));
+  for (const Buffer* word : {&faults_, &last_holding_}) std::memset(word->mapped(), 0, sizeof(uint32_t));
   return {};
 }
 
 Result<void> VulkanGather::makeSets() {
-  auto sets = StorageSets::create(*context_, 13 + 5 * segments_, 2 + 2 + 4 + 2 + 20 + 10 + 8 + 16 + segments_ * (6 + 18 + 18));
+  auto sets = StorageSets::create(*context_, 16 + 5 * segments_, 2 + 2 + 2 + 3 + 2 * (10 + 8 + 4 + 5 + 4 + 8) + segments_ * (6 + 18 + 18));
   if (!sets) return sets.error();
   sets_ = std::move(*sets);
   Result<void> failed;
@@ -313,12 +349,14 @@ Result<void> VulkanGather::makeSets() {
   for (uint32_t i = 0; i < 2; ++i) {
     enter_set_[i] = make(enter_, {whole(jobs_), whole(packed_), whole(albedo_), whole(rows_), whole(parents_),
                                   whole(siblings_), whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(last_source_), whole(held_)});
-    ease_set_[i] = make(ease_, {whole(held_), whole(radiosity_[i])});
+    pace_set_[i] = make(pace_pass_, {whole(spans_), whole(packed_), whole(pace_frame_), whole(kinds_), whole(albedo_), whole(radiosity_[i]), whole(paces_), whole(paced_lights_)});
+    ease_set_[i] = make(ease_, {whole(held_), whole(radiosity_[i]), whole(paces_), whole(ease_state_)});
     refine_set_[i] = make(refine_, {whole(spans_), whole(parents_), whole(siblings_), whole(albedo_), whole(radiosity_[i])});
     change_set_[i] = make(change_, {whole(radiosity_[i]), whole(radiosity_[1 - i]), whole(kinds_), whole(changes_)});
     shine_set_[i] = make(shine_, {whole(radiosity_[i]), whole(emission_), whole(output_), whole(weights_), whole(parents_), whole(albedo_),
                                   whole(source_), whole(last_source_)});
   }
+  pace_limit_set_ = make(pace_limit_, {whole(pace_frame_), whole(paced_lights_), whole(ease_state_)});
   fade_set_ = make(fade_, {whole(fading_), whole(weights_)});
   for (uint32_t s = 0; s < segments_; ++s) {
     const VkDescriptorBufferInfo segment{entries_.handle(), s * segment_bytes_, segment_bytes_};
@@ -369,8 +407,7 @@ void VulkanGather::forgetStaged() {
 
 // What is held back of light is forgotten.
 void VulkanGather::letGo() {
-  let_go_ |= holding_ > 0;
-  holding_ = 0;
+  let_go_ |= std::exchange(holding_, false);
   to_hold_ = false;
 }
 
@@ -424,7 +461,7 @@ void VulkanGather::stageTiles(const LocalMatrix& m, const MatrixChange& change) 
     const bool has_entered = entered < change.entered.size() && change.entered[entered] == t;
     const std::span<const uint32_t> packed = change.packed && has_entered ? change.packed->tile(entered) : std::span<const uint32_t>();
     if (packed.empty())
-      writePacked(m, tile.range, *tile.strip, tile.partner_pages, words);
+      writePacked(m, tile.range, t < m.places.size() ? m.places[t].bounds : Box{}, *tile.strip, tile.partner_pages, words);
     else
       std::memcpy(words, packed.data(), packed.size_bytes());
   }
@@ -498,9 +535,10 @@ void VulkanGather::listJobs(const MatrixChange& change, bool all) {
 void VulkanGather::listSpans() {
   span_list_.clear();
   levels_.clear();
+  paced_tiles_ = 0;
   const LocalMatrix& m = *matrix_;
-  const auto add = [&](uint32_t first, uint32_t slots) {
-    span_list_.push_back({first, slots});
+  const auto add = [&](uint32_t first, uint32_t slots, uint32_t place_at) {
+    span_list_.push_back({first, slots, place_at});
     ++levels_.back().count;
     levels_.back().longest = std::max(levels_.back().longest, slots);
   };
@@ -508,20 +546,19 @@ void VulkanGather::listSpans() {
     for (size_t l = 0; l + 1 < m.refined_level_start.size(); ++l) {
       levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
       for (uint32_t r = m.refined_level_start[l]; r < m.refined_level_start[l + 1]; ++r)
-        add(m.refined[r].first_child, m.refined[r].last_child + 1 - m.refined[r].first_child);
+        add(m.refined[r].first_child, m.refined[r].last_child + 1 - m.refined[r].first_child, 0);
     }
     return;
   }
   uint32_t level = kNoSlot;
-  for (const SlotRange& range : m.tiles) {
-    if (range.id.level != level) levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
-    level = range.id.level;
-    add(range.first_slot, range.nodes);
+  for (size_t t = 0; t < m.tiles.size(); ++t) {
+    const GatherLayout::Tile& tile = layout_.tiles()[t];
+    if (tile.range.id.level != level) levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
+    level = tile.range.id.level;
+    add(tile.range.first_slot, tile.range.nodes, static_cast<uint32_t>(tile.packed_at) + tile.place_at);
   }
-  if (!levels_.empty() && m.parent_slot[m.tiles.back().first_slot] == kNoSlot) {  // the top level has no parents
-    span_list_.resize(levels_.back().first);
-    levels_.pop_back();
-  }
+  if (!levels_.empty() && m.parent_slot[m.tiles.back().first_slot] == kNoSlot) levels_.pop_back();  // the top level has no parents
+  if (m.ambient_slot == kNoSlot && !m.places.empty()) paced_tiles_ = static_cast<uint32_t>(span_list_.size());
 }
 
 // Twice in a frame: the later counts.
@@ -642,7 +679,36 @@ void VulkanGather::recordHold(VkCommandBuffer c) {
   }
   separate(c);
   to_hold_ = false;
-  holding_ = ease_frames_;
+  holding_ = true;
+  std::ranges::fill(eased_, uint8_t{0});
+}
+
+// By what the record that had this frame's region before has left.
+void VulkanGather::lookWhetherAnyIsHeld(uint32_t frame) {
+  if (!std::exchange(eased_[frame], uint8_t{0})) return;
+  uint32_t last = 0;
+  std::memcpy(&last, last_holding_.mapped(), sizeof(last));
+  if (last + settings_.frames_in_flight < recordNumber()) holding_ = false;  // a later record holds nothing that this one did not
+}
+
+void VulkanGather::recordEase(VkCommandBuffer c, uint32_t frame) {
+  const bool limited = light_pace_.most_change > 0 && paced_tiles_ > 0;
+  if (limited) {
+    vkCmdUpdateBuffer(c, pace_frame_.handle(), 0, sizeof(light_pace_), &light_pace_);
+    separate(c);
+    pace_pass_.dispatch(c, pace_set_[now_], nullptr, paced_tiles_);
+    separate(c);
+    const shaders::PacePush push{paced_tiles_};
+    pace_limit_.dispatch(c, pace_limit_set_, &push, 1);
+    separate(c);
+  }
+  const shaders::EasePush push{slots_, correction_ != nullptr, ease_frames_, recordNumber(), limited};
+  ease_.dispatch(c, ease_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
+  separate(c);
+  if (correction_) recordRefine(c, now_);
+  const VkBufferCopy copy{offsetof(shaders::EaseState, last_holding), 0, sizeof(uint32_t)};
+  vkCmdCopyBuffer(c, ease_state_.handle(), last_holding_.handle(), 1, &copy);
+  eased_[frame] = 1;
 }
 
 void VulkanGather::recordIteration(VkCommandBuffer c, bool first, float omega) {
@@ -681,15 +747,16 @@ void VulkanGather::readTime(uint32_t frame, bool wait) {
 }
 
 Result<void> VulkanGather::record(VkCommandBuffer c, int iterations) {
-  return recordSteps(c, iterations, [] { return 1.0f; }, iterations > 0 ? 1 : 0);
+  return recordSteps(c, iterations, [] { return 1.0f; }, iterations > 0);
 }
 
 template <class Omega>
-Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega, int frames) {
+Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&& omega, bool passes) {
   FF_CHECK_EQ(matrix_ != nullptr, true);
   const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
   seen_holds_ = false;
   readTime(frame, false);
+  lookWhetherAnyIsHeld(frame);
   const auto stamp = [&](uint32_t query) {
     if (queries_) vkCmdWriteTimestamp(c, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, kQueries * frame + query);
   };
@@ -699,11 +766,10 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   recordCopies(c);
   separate(c);
   if (changed_) recordChange(c);
-  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_ || holding_ > 0)) {
+  if (correction_ && correction_->recordChange(c, frame, iterations, changed_ || has_radiosity_ || holding_)) {
     vkCmdFillBuffer(c, radiosity_[now_].handle(), 0, VK_WHOLE_SIZE, 0);
     vkCmdFillBuffer(c, held_.handle(), 0, VK_WHOLE_SIZE, 0);
-    to_hold_ = false;
-    holding_ = 0;
+    to_hold_ = holding_ = false;
     separate(c);
   }
   if (has_radiosity_) {
@@ -717,12 +783,7 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
     copies_to_later_source_.clear();
     separate(c);
   }
-  for (; frames > 0 && holding_ > 0; --frames, --holding_) {
-    const shaders::EasePush push{slots_, correction_ != nullptr};
-    ease_.dispatch(c, ease_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
-    separate(c);
-    if (correction_) recordRefine(c, now_);
-  }
+  if (passes && holding_) recordEase(c, frame);
   changed_ = all_ = has_source_ = has_later_source_ = has_radiosity_ = has_emission_ = false;
   left_ = 0;
   stamp(1);
@@ -731,7 +792,7 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   if (correction_) correction_->recordEnd(c, frame, iterations);
   stamp(2);
   timed_[frame] = 1;
-  const shaders::FadePush fades{fading_tiles_ > 0 ? static_cast<uint32_t>(frame_) + 1 : 0};
+  const shaders::FadePush fades{fading_tiles_ > 0 ? recordNumber() : 0};
   if (fading_tiles_ > 0) {
     fade_.dispatch(c, fade_set_, &fades, std::exchange(fading_tiles_, 0));
     separate(c);
@@ -740,8 +801,8 @@ Result<void> VulkanGather::recordSteps(VkCommandBuffer c, int iterations, Omega&
   shine_.dispatch(c, shine_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
   barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
           VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT);
-  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
-          VK_ACCESS_HOST_READ_BIT);  // faults_
+  barrier(c, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT,
+          VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);  // faults_, last_holding_
   ++frame_;
   region_used_ = 0;
   return {};
@@ -753,14 +814,14 @@ void VulkanGather::recordSeen(VkCommandBuffer c) {
 }
 
 template <class Omega>
-Result<void> VulkanGather::runSteps(int k, Omega&& omega, int frames) {
+Result<void> VulkanGather::runSteps(int k, Omega&& omega, bool passes) {
   double ms = 0;
   for (int done = 0; done < k;) {
     const int n = std::min(k - done, kIterationsPerSubmit);
     const auto frame = static_cast<uint32_t>(frame_ % settings_.frames_in_flight);
     Result<void> recorded;
     auto took = context_->run([&](VkCommandBuffer c) {
-      recorded = recordSteps(c, n, omega, std::exchange(frames, 0));
+      recorded = recordSteps(c, n, omega, std::exchange(passes, false));
       if (recorded && done + n == k) recordSeen(c);
     });
     if (!recorded) return recorded;
@@ -795,7 +856,7 @@ Result<double> VulkanGather::runMeasuredStep() {
 }
 
 Result<void> VulkanGather::iterate(int k) {
-  return runSteps(k, [] { return 1.0f; }, 1);
+  return runSteps(k, [] { return 1.0f; }, true);
 }
 
 Result<void> VulkanGather::approach(int k) {

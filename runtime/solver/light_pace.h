@@ -22,17 +22,19 @@ struct LightPace {
   };
   Tile of(uint32_t level, const Box& bounds) const {
     const float finer_m = level > 0 ? radii_m[level - 1] : 0;  // a leaf of a coarser level lies beyond it, though its tile may not
-    const float away_m = std::max(observers.distance(bounds), finer_m), beyond = std::max(1.0f, away_m / (kNear * radii_m[0]));
+    const float away_m = std::max(observers.distance(bounds), finer_m), beyond = std::max(1.0f, away_m / nearM());
     Tile tile{beyond * beyond * beyond, 0};
     if (level > 0) return tile;  // finer ones will be there before anybody is
-    const float left_m = away_m - kAtHand * radii_m[0];
+    const float left_m = away_m - atHandM();
     tile.due = left_m > 0 ? std::clamp((away_m - observers.distance(bounds, frame_seconds)) / left_m, 0.0f, 1.0f) : 1;
     return tile;
   }
 
-  // Of level 0's radius:
-  static constexpr float kNear = 2;       // what lies nearer has the limit itself
-  static constexpr float kAtHand = 0.7f;  // by then all has gone
+  float nearM() const { return kNear * radii_m[0]; }      // what lies nearer has the limit itself
+  float atHandM() const { return kAtHand * radii_m[0]; }  // by then all has gone
+
+ private:
+  static constexpr float kNear = 2, kAtHand = 0.7f;  // of level 0's radius
 };
 
 }  // namespace ff::runtime

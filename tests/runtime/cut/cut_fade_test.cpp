@@ -20,56 +20,6 @@ const auto kCpuSolvers = testing::Values(EaseCase{"Gather", 64, [] { return make
 }});
 INSTANTIATE_TEST_SUITE_P(Cpu, Ease, kCpuSolvers, [](const auto& each) { return each.param.name; });
 
-const std::vector<float> kRadii_m(12, 200.0f);
-
-// Who stands at that distance from a world: all of it is near, and nobody will be there soon.
-LightPace paceOf(float most_change) {
-  return {.observers = stream::Observer{{-300, 0, 32}, {}}, .radii_m = kRadii_m, .frame_seconds = 1.0f / 60, .most_change = most_change};
-}
-
-float meanOf(const LocalMatrix& m, const std::vector<Vec4>& light) {
-  double sum = 0, area_m2 = 0;
-  for (const uint32_t s : m.leaves) {
-    sum += static_cast<double>(m.area_m2[s] * (light[s].x + light[s].y + light[s].z) / 3);
-    area_m2 += static_cast<double>(m.area_m2[s]);
-  }
-  return static_cast<float>(sum / area_m2);
-}
-
-class Paced : public Ease {};
-INSTANTIATE_TEST_SUITE_P(Cpu, Paced, kCpuSolvers, [](const auto& each) { return each.param.name; });
-
-TEST_P(Paced, LightFollowsByNoMoreInAFrameThanItMayAndEndsWhereItWouldHaveBeenAtOnce) {
-  const TestWorld test(world());
-  constexpr uint32_t kFrames = 4;
-  constexpr float kMost = 0.05f;
-  CutChange paced(GetParam(), test, kFrames), free(GetParam(), test, kFrames), at_once(GetParam(), test, 0);
-  ASSERT_TRUE(at_once.solver->iterate(300));
-  const std::vector<Vec4> end = at_once.light();
-  const float mean = meanOf(at_once.matrix(), end);
-  float largest[2] = {};
-  for (CutChange* change : {&paced, &free}) {
-    if (change == &paced) change->solver->pace(paceOf(kMost));
-    ASSERT_TRUE(change->solver->iterate(1));
-    std::vector<Vec4> last = change->light();
-    for (uint32_t frame = 1; frame < 2 * kFrames; ++frame) {
-      ASSERT_TRUE(change->solver->iterate(1));
-      const std::vector<Vec4> now = change->light();
-      for (const uint32_t s : change->matrix().leaves) largest[change == &free] = std::max(largest[change == &free], distance(now[s], last[s]));
-      last = now;
-    }
-  }
-  EXPECT_LT(largest[0], 2 * kMost * mean);  // what bounces comes on top
-  EXPECT_GT(largest[1], 3 * kMost * mean);
-  std::vector<Vec4> light = paced.light();
-  float left = 0;
-  for (const uint32_t s : paced.matrix().leaves) left = std::max(left, distance(light[s], end[s]));
-  EXPECT_GT(left, kMost * mean) << "it takes longer than it would";
-  for (int frame = 0; frame < 500; ++frame) ASSERT_TRUE(paced.solver->iterate(1));
-  light = paced.light();
-  for (const uint32_t s : paced.matrix().leaves) ASSERT_LT(distance(light[s], end[s]), 1e-4f * (1 + end[s].x + end[s].y + end[s].z));
-}
-
 TEST(LightPace, IsLooserBeyondWhatIsNearAndLeavesNothingToWhoArrives) {
   const std::vector<float> radii_m{10, 13, 17};
   const auto at = [](float x) { return Box{{x, -1, -1}, {x + 4, 1, 1}}; };

@@ -284,7 +284,7 @@ TEST(CutBuilder, GivesInTheBackgroundWhatAnAssemblerGives) {
         const uint32_t t = reference.change().entered[k];
         const LocalMatrix::PackedRows& rows = n.packed[t];
         std::vector<uint32_t> words(packedShape(*rows.strip, rows.partner_pages.size()).words);
-        writePacked(n, n.tiles[t], *rows.strip, rows.partner_pages, words.data());
+        writePacked(n, n.tiles[t], n.places[t].bounds, *rows.strip, rows.partner_pages, words.data());
         ASSERT_TRUE(std::ranges::equal(builder.change().packed->tile(k), words));
       }
       ASSERT_EQ(builder.change().pages, reference.change().pages);

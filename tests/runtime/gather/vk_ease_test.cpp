@@ -78,6 +78,45 @@ TEST_F(VkEase, MultibounceFollowsAChangeOfTheCutAsOnTheCpu) {
   EXPECT_GT(more_leaves, 2u);
 }
 
+// Two observers fly through the world while its cut changes: what is at hand, near, and beyond has another pace.
+TEST_F(VkEase, LightKeepsThePaceThatItKeepsOnTheCpu) {
+  const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 2});
+  const std::vector<float> radii_m{3, 9, 16, 24, 32, 40, 50, 60};
+  auto vulkan = makeVulkanGather(context_, kRoom);
+  ASSERT_TRUE(vulkan) << vulkan.error().line();
+  const auto cpu = makeCpuGather(1), unlimited = makeCpuGather(1);
+  Solver* const solvers[] = {vulkan->get(), cpu.get(), unlimited.get()};
+  MatrixAssembler assembler(test.world());
+  const LocalMatrix& m = assembler.matrix();
+  float limited = 0;
+  LightPace pace{.radii_m = radii_m, .frame_seconds = 1.0f / 60, .most_change = 0.01f};
+  for (uint64_t cut = 0; cut < 5; ++cut) {
+    ASSERT_TRUE(assembler.update(test.randomCut(0.5 + 0.1 * static_cast<double>(cut % 3), cut)));
+    for (Solver* const solver : solvers) {
+      solver->ease(4);
+      ASSERT_TRUE(solver->update(m, assembler.change()) && solver->setSource(sourceOf(m)));
+      ASSERT_TRUE(solver->iterate(cut == 0 ? 300 : 1));
+    }
+    for (int frame = 0; frame < 12; ++frame) {
+      const float way_m = 0.4f * static_cast<float>(12 * static_cast<int>(cut) + frame);
+      const stream::Observer observers[] = {{{way_m, 1, 8}, {24, 0, 0}}, {{30, 1, 31 - way_m}, {0, 0, -24}}};
+      pace.observers = std::span<const stream::Observer>(observers);
+      std::vector<std::vector<Vec4>> light;
+      for (Solver* const solver : solvers) {
+        if (solver != unlimited.get()) solver->pace(pace);
+        ASSERT_TRUE(solver->iterate(1));
+        light.push_back(lightOf(*solver, m));
+      }
+      for (const uint32_t s : m.leaves) {
+        const Vec4& b = light[1][s];
+        ASSERT_LT(distance(light[0][s], b), 1e-4f * (1 + b.x + b.y + b.z)) << "cut " << cut << ", frame " << frame << ", slot " << s;
+        limited = std::max(limited, distance(b, light[2][s]));
+      }
+    }
+  }
+  EXPECT_GT(limited, 0.1f);
+}
+
 // What is shown is the same, to the bit, whether all emission or that of what entered is given with each cut, and what has left shows none.
 TEST_F(VkShine, EmissionOfWhatEnteredIsAsGoodAsAll) {
   const TestWorld test({.side = 32, .tile_nodes = 40, .seed = 3});
