@@ -13,11 +13,15 @@ layout(std430, binding = 1) buffer Radiosity { vec4 radiosity[]; };
 layout(std430, binding = 2) readonly buffer Paces { TilePace paces[]; };  // by slot
 layout(std430, binding = 3) buffer State { EaseState state; };
 
+float largestOf(vec3 v) { return max(v.r, max(v.g, v.b)); }
+
 vec4 released(vec4 h, uint slot) {
   h.w = min(h.w, float(push.frames));
   const float stays = h.w > 1.0 ? (h.w - 1.0) / h.w : 0.0;
-  if (push.limited != 0u) {
-    const float now = max(abs(h.r), max(abs(h.g), abs(h.b))), most = max(state.most * paces[slot].loosened, paces[slot].due * now);
+  if (push.most_change > 0.0) {
+    const TilePace pace = paces[slot];
+    const float now = largestOf(abs(h.rgb)), own = push.most_change * (pace.loosened - 1.0) * largestOf(abs(radiosity[slot].rgb));
+    const float most = max(state.most * pace.loosened + own, pace.due * now);
     if ((1.0 - stays) * now > most) return vec4(h.rgb * (1.0 - most / now), max(h.w - 1.0, 1.0));
   }
   return vec4(h.rgb * stays, max(h.w - 1.0, 0.0));

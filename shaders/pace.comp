@@ -16,23 +16,30 @@ layout(std430, binding = 5) readonly buffer Radiosity { vec4 radiosity[]; };
 layout(std430, binding = 6) writeonly buffer Paces { TilePace paces[]; };  // by slot
 layout(std430, binding = 7) writeonly buffer Lights { PacedLight lights[]; };  // by tile
 
+const float kNever = 1e30;  // frames
+
 shared vec2 parts[kGatherGroup];
 
 vec3 corner(uint at) { return vec3(uintBitsToFloat(packed_words[at]), uintBitsToFloat(packed_words[at + 1u]), uintBitsToFloat(packed_words[at + 2u])); }
+// By the observer's straight way.
+float framesUntilAtHand(vec3 lowest, vec3 highest, uint observer) {
+  const vec3 to_lowest = (lowest - pace.at_hand_m - pace.at[observer].xyz) / pace.way[observer].xyz, to_highest = (highest + pace.at_hand_m - pace.at[observer].xyz) / pace.way[observer].xyz;
+  const vec3 first = min(to_lowest, to_highest), last = max(to_lowest, to_highest);
+  const float begins = max(0.0, max(first.x, max(first.y, first.z))), ends = min(last.x, min(last.y, last.z));
+  return begins <= ends ? begins : kNever;
+}
 float distanceTo(vec3 lowest, vec3 highest, vec3 at) { return length(max(max(lowest - at, at - highest), vec3(0))); }
 
 TilePace paceOf(uint place_at) {
   const vec3 lowest = corner(place_at), highest = corner(place_at + 3u);
   const uint level = packed_words[place_at + 6u];
-  float away_m = distanceTo(lowest, highest, pace.at[0].xyz), next_m = distanceTo(lowest, highest, pace.next[0].xyz);
+  float away_m = distanceTo(lowest, highest, pace.at[0].xyz), frames = framesUntilAtHand(lowest, highest, 0u);
   for (uint i = 1u; i < pace.observers; ++i) {
     away_m = min(away_m, distanceTo(lowest, highest, pace.at[i].xyz));
-    next_m = min(next_m, distanceTo(lowest, highest, pace.next[i].xyz));
+    frames = min(frames, framesUntilAtHand(lowest, highest, i));
   }
   const float beyond = max(1.0, max(away_m, level > 0u ? pace.radii_m[level - 1u] : 0.0) / pace.near_m);
-  const float left_m = away_m - pace.at_hand_m;
-  const float due = level > 0u ? 0.0 : left_m > 0.0 ? clamp((away_m - next_m) / left_m, 0.0, 1.0) : 1.0;
-  return TilePace(beyond * beyond * beyond, due);
+  return TilePace(beyond * beyond * beyond, level > 0u ? 0.0 : 1.0 / max(frames, pace.fewest_frames));
 }
 
 void main() {

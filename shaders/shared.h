@@ -85,10 +85,11 @@ FF_CONST uint kMostObservers = 16u;
 FF_CONST uint kMostLevels = 16u;
 FF_CONST float kNoLimit = 1e30f;
 struct PaceFrame {
-  vec4 at[kMostObservers], next[kMostObservers];  // where observers are, and will be in the next frame, m
+  vec4 at[kMostObservers], way[kMostObservers];  // where observers are, and how they move in a frame, nowhere 0; m
   float radii_m[kMostLevels];
   uint observers;
   float near_m, at_hand_m;
+  float fewest_frames;  // that what is due takes
   float most_change;  // of the mean
 };
 struct TilePace {
@@ -110,7 +111,7 @@ struct EasePush {
   uint along;    // 1: radiosity goes along
   uint frames;   // that what is held back takes to go
   uint record;   // number of this one
-  uint limited;  // 1: paces and EaseState::most are of this frame; 0: there is no limit
+  float most_change;  // PaceFrame::most_change, which paces and EaseState::most are for; 0: there is no limit
 };
 // Consecutive slots. Those with one parent name each other in a ring (LocalMatrix::next_sibling), all within the span.
 struct SlotSpan {

@@ -19,10 +19,10 @@ constexpr float kGone = 2;       // the way from where a tile leaves to where it
 constexpr float kAhead = 4;     // tiles on the way enter so much farther away
 constexpr float kEase = 0.25f;  // the way in which light follows
 
-// What an observer has of the way between two distances: evenly with their cubes. So what is seen as large changes slowly, and what lies twice as far away four times as fast a metre.
+// What an observer has of the way between two distances: a metre of it counts as the distance's cube. So what is seen as large changes slowly, and what lies twice as far away eight times as fast.
 float shareOfWay(float from_m, float to_m, float at_m) {
-  const auto cube = [](float m) { return m * m * m; };
-  return (cube(at_m) - cube(from_m)) / (cube(to_m) - cube(from_m));
+  const auto until = [](float m) { return m * m * m * m; };
+  return (until(at_m) - until(from_m)) / (until(to_m) - until(from_m));
 }
 
 }  // namespace

@@ -53,11 +53,12 @@ shaders::PaceFrame frameOf(const LightPace& pace) {
   for (size_t i = 0; i < pace.observers.size(); ++i) {
     const stream::Observer& observer = pace.observers[i];
     frame.at[i] = point(observer.at);
-    frame.next[i] = point(observer.at + observer.velocity * pace.frame_seconds);
+    frame.way[i] = point(pace.wayM(observer));
   }
   std::ranges::copy(pace.radii_m, frame.radii_m);
   frame.near_m = pace.nearM();
   frame.at_hand_m = pace.atHandM();
+  frame.fewest_frames = LightPace::kFewestFrames;
   frame.most_change = pace.most_change;
   return frame;
 }
@@ -702,7 +703,7 @@ void VulkanGather::recordEase(VkCommandBuffer c, uint32_t frame) {
     pace_limit_.dispatch(c, pace_limit_set_, &push, 1);
     separate(c);
   }
-  const shaders::EasePush push{slots_, correction_ != nullptr, ease_frames_, recordNumber(), limited};
+  const shaders::EasePush push{slots_, correction_ != nullptr, ease_frames_, recordNumber(), limited ? light_pace_.most_change : 0};
   ease_.dispatch(c, ease_set_[now_], &push, groupsOf(slots_, shaders::kGatherGroup));
   separate(c);
   if (correction_) recordRefine(c, now_);

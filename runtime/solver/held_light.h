@@ -65,7 +65,7 @@ class HeldLight {
     }
     std::atomic<bool> left = false;
     forTiles([&](uint32_t tile) {
-      if (release(matrix, tile, source)) left = true;
+      if (release(matrix, tile, light, source)) left = true;
     });
     holds_ = left;
   }
@@ -128,15 +128,16 @@ class HeldLight {
     if (light > 0) most_change_ = pace_.most_change * static_cast<float>(light / area_m2);
   }
   // Whether anything is left.
-  bool release(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> source) {
+  bool release(const LocalMatrix& matrix, uint32_t tile, std::span<const Vec4> light, std::span<const Vec4> source) {
     const SlotRange& range = matrix.tiles[tile];
-    const float most = most_change_ * tiles_[tile].pace.loosened, due = tiles_[tile].pace.due;
+    const LightPace::Tile& pace = tiles_[tile].pace;
+    const float most = most_change_ * pace.loosened, of_own = pace_.most_change * (pace.loosened - 1);
     bool left = false;
     for (uint32_t s = range.first_slot; s < range.first_slot + range.nodes; ++s) {
       if (!matrix.leaf[s]) continue;
-      left |= held_[s].release(ease_frames_, most, due);
-      const Vec3& light = held_[s].light;
-      lit_[s] = source[s] + Vec4{light.x, light.y, light.z, 0};
+      left |= held_[s].release(ease_frames_, most + of_own * Slot::size({light[s].x, light[s].y, light[s].z}), pace.due);
+      const Vec3& held = held_[s].light;
+      lit_[s] = source[s] + Vec4{held.x, held.y, held.z, 0};
     }
     return left;
   }

@@ -48,7 +48,7 @@ struct Options {
   double hint_seconds = 0.5;
   uint32_t max_applied_tiles = 0;
   uint64_t bytes_per_second = 0;
-  uint32_t fade_frames = 8;  // as the C interface does
+  uint32_t fade_frames = runtime::FadeSettings::kFrames;  // as the C interface does
   float fade_change = runtime::FadeSettings().most_change;
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false, real_time = false;
   int iterations() const { return solver == "gather" ? runtime::Updater::kAsLightNeeds : 1; }  // a frame, as the C interface does

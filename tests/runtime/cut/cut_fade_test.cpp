@@ -26,13 +26,21 @@ TEST(LightPace, IsLooserBeyondWhatIsNearAndLeavesNothingToWhoArrives) {
   LightPace pace{.observers = stream::Observer{{}, {60, 0, 0}}, .radii_m = radii_m, .frame_seconds = 1.0f / 60, .most_change = 0.02f};
   EXPECT_NEAR(pace.of(0, at(20)).loosened, 1, 1e-5f);
   EXPECT_NEAR(pace.of(0, at(40)).loosened, 8, 1e-4f);
-  EXPECT_NEAR(pace.of(0, at(17)).due, 0.1f, 1e-4f);  // 1 m a frame, and 10 are left until it is at hand
-  EXPECT_EQ(pace.of(0, at(7)).due, 1);
+  EXPECT_NEAR(pace.of(0, at(57)).due, 1 / 50.0f, 1e-4f);  // 1 m a frame, and 50 are left until it is at hand
+  EXPECT_NEAR(pace.of(0, at(17)).due, 1 / 30.0f, 1e-4f);
+  EXPECT_NEAR(pace.of(0, at(7)).due, 1 / 30.0f, 1e-4f);
   EXPECT_EQ(pace.of(0, at(-30)).due, 0) << "behind";
   EXPECT_EQ(pace.of(1, at(1)).due, 0) << "finer ones will be there";
   EXPECT_NEAR(pace.of(2, at(1)).loosened, 1, 1e-5f);
+  const auto aside = [](float x, float y) { return Box{{x, y - 1, -1}, {x + 4, y + 1, 1}}; };
+  EXPECT_NEAR(pace.of(0, aside(57, 7)).due, 1 / 50.0f, 1e-4f);
+  EXPECT_EQ(pace.of(0, aside(57, 9)).due, 0) << "who flies past it is never there";
+  const stream::Observer several[] = {{{}, {60, 0, 0}}, {{57, 9, 90}, {0, 0, -120}}};
+  pace.observers = std::span<const stream::Observer>(several);
+  EXPECT_NEAR(pace.of(0, aside(57, 9)).due, 1 / 41.0f, 1e-4f);  // 2 m a frame, and 82 are left
   pace.observers = stream::Observer{{}, {}};
   EXPECT_EQ(pace.of(0, at(17)).due, 0) << "at rest";
+  EXPECT_NEAR(pace.of(0, at(5)).due, 1 / 30.0f, 1e-4f);
 }
 
 TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
