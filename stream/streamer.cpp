@@ -113,7 +113,7 @@ class StreamerImpl final : public Streamer {
   void setLead(const Lead& lead) override {
     lead_.turn_seconds = std::clamp(lead.turn_seconds, 0.0f, kMaxLead_seconds);
     lead_.active_seconds = std::clamp(lead.active_seconds, lead_.turn_seconds, kMaxLead_seconds);
-    lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, kMaxLead_seconds);
+    lead_.shown_seconds = std::clamp(lead.shown_seconds, lead_.active_seconds, kMaxShownLead_seconds);
   }
   const StripList& activeList() const override { return active_; }
 

@@ -41,8 +41,8 @@ struct StreamSettings {
                                                 // what came of the call before
 };
 
-// So long before an observer is near a tile is wanted: what whoever takes active() needs. At most so much each.
-inline constexpr float kMaxLead_seconds = 1.4f;
+// So long before an observer is near a tile is wanted: what whoever takes active() needs. At most so much.
+inline constexpr float kMaxLead_seconds = 1.4f, kMaxShownLead_seconds = 4;
 struct Lead {
   float turn_seconds = 0;    // whichever way it turns: what may be near in that time is wanted as far as budgets have room beside all else
   float active_seconds = 0;  // on its way: until a tile that is active counts. Not less

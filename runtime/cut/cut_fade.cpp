@@ -11,12 +11,13 @@ constexpr float kMaxFrames = 480;      // of a tile, where nobody comes nearer o
 constexpr float kMaxEaseFrames = 120;  // of light, likewise
 constexpr float kHeadingFrames = 30;   // of an observer's mean velocity
 constexpr float kStraight = 0.87f;     // cosine: who goes farther off that turns
+constexpr float kAhead_seconds = 1.4f;  // and between these two so long before they have to
 constexpr float kFades = 1.2f;         // so many times the frames that light takes it has, until it has to have followed
 // Of a level's radius:
 constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
 constexpr float kGone = 2;       // the way from where a tile leaves to where it shows nothing of its own
 // Of level 0's radius:
-constexpr float kAhead = 4;     // tiles on the way enter so much farther away
+constexpr float kAhead = 4, kLeastAhead = 2.6f;  // tiles on the way enter so much farther away at most, and at least: fast observers need more of a way
 constexpr float kEase = 0.25f;  // the way in which light follows
 
 // What an observer has of the way between two distances: a metre of it counts as the distance's cube. So what is seen as large changes slowly, and what lies twice as far away eight times as fast.
@@ -44,7 +45,8 @@ float CutFade::begin(const stream::Observers& observers, float frame_seconds) {
   if (settings_.frames == 0) return 0;
   const float speed = observers.fastest(), least = static_cast<float>(settings_.frames), frames = kEase * radii_m_[0] / (speed * frame_seconds);
   ease_frames_ = static_cast<uint32_t>(std::clamp(frames, least, std::max(least, kMaxEaseFrames)));
-  return std::max(kFades * static_cast<float>(ease_frames_) * frame_seconds, kAhead * radii_m_[0] / speed);
+  const float ahead_m = std::clamp(kAhead_seconds * speed, kLeastAhead * radii_m_[0], kAhead * radii_m_[0]);
+  return std::max(kFades * static_cast<float>(ease_frames_) * frame_seconds, ahead_m / speed);
 }
 
 void CutFade::follow(const LocalMatrix& matrix, std::span<const FadingTile> fading, std::span<const uint32_t> entered, const stream::Observers& observers) {

@@ -48,16 +48,18 @@ TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
   const std::vector<float> radii_m{16, 20};
   CutFade fade({.frames = 8}, radii_m);
   const auto at = [](float speed) { return stream::Observer{{}, {0, 0, speed}}; };
-  EXPECT_NEAR(fade.begin(at(30), kFrame_s), 64.0f / 30, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(60), kFrame_s), 64.0f / 60, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(40), kFrame_s), 1.4f, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(30), kFrame_s), 1.4f, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 8u);  // of 4 m
-  EXPECT_NEAR(fade.begin(at(5), kFrame_s), 64.0f / 5, 1e-5f);
+  EXPECT_NEAR(fade.begin(at(5), kFrame_s), 41.6f / 5, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 48u);
   EXPECT_NEAR(fade.begin(at(600), kFrame_s), 1.2f * 8 * kFrame_s, 1e-5f);  // the frames that light takes are more than that way
   EXPECT_EQ(fade.easeFrames(), 8u);
   (void)fade.begin(at(0), kFrame_s);
   EXPECT_EQ(fade.easeFrames(), 120u);
   const stream::Observer several[] = {at(0), at(5), at(1)};
-  EXPECT_NEAR(fade.begin(stream::Observers(several), kFrame_s), 64.0f / 5, 1e-5f);
+  EXPECT_NEAR(fade.begin(stream::Observers(several), kFrame_s), 41.6f / 5, 1e-5f);
   EXPECT_EQ(fade.easeFrames(), 48u);
   CutFade at_once({.frames = 0}, radii_m), slower({.frames = 300}, radii_m);
   EXPECT_EQ(at_once.begin(at(5), kFrame_s), 0);
