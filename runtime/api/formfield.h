@@ -89,7 +89,7 @@ typedef struct FormfieldWorldSettings {
   uint64_t kept_bytes;         /* of these, of strips that are wanted no more: for the observer's return */
   uint32_t max_patches;        /* active at once */
   uint32_t max_nodes;          /* of all levels, up to FORMFIELD_MAX_SLOTS; where they run out, growth is smaller first, then the radius. A town of 1M takes 40,000 of an observer
-                                * at rest and 110,000 of one at 60 m/s, so that what comes and goes does so over a long way: fewer make that shorter */
+                                * at rest and 125,000 of one at 60 m/s, so that what comes and goes does so over a long way: fewer make that shorter */
   uint32_t decode_threads;
   FormfieldSolver solver;
   FormfieldStorage storage;    /* of dense matrices */
@@ -108,8 +108,8 @@ typedef struct FormfieldWorldSettings {
   float reload_seconds;        /* so often the world's file is looked at (one stat; behind a web server, one request for a byte), and when it was
                                   baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
   float fade_change;           /* of the mean of what surfaces near observers reflect: by no more does a surface's light follow, in a frame, what fade_frames hold back, twice the radius
-                                  away or nearer, and farther away by so much times the cube of the distance; but where an observer would be there before, it follows sooner. 0.02;
-                                  0: no limit. Solvers on the CPU alone */
+                                  away or nearer, and farther away by so much times the cube of the distance, and of the surface's own light on top; but where an observer would be there before, it follows
+                                  sooner. 0.012; 0: no limit. The seed baseline follows at once */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */

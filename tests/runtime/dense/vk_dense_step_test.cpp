@@ -377,6 +377,37 @@ TEST_F(VkDenseStep, AMatrixThatGoesWrongIsBuiltAnew) {
   }
 }
 
+// While light is held back errors say nothing of the matrix; a recorder has to learn from its device that none is held any more.
+TEST_F(VkDenseStep, AMatrixThatGoesWrongIsBuiltAnewOnceLightHasFollowedAChangeOfTheCut) {
+  const TestWorld test({.side = 16, .tile_nodes = 12, .seed = 3});
+  MatrixAssembler assembler(test.world());
+  const LocalMatrix& m = assembler.matrix();
+  const auto solver = make({.places = 600});
+  Engine engine(*context_, *solver);
+  const auto source = [&](float scale) {
+    std::vector<Vec4> all = randomSource(m, 1);
+    for (Vec4& b : all) b.y *= scale;
+    return all;
+  };
+  for (uint64_t cut = 0; cut < 2; ++cut) {
+    engine.begin();
+    solver->ease(4);
+    ASSERT_TRUE(assembler.update(test.randomCut(0.9, cut)));
+    ASSERT_TRUE(solver->update(m, assembler.change()));
+    engine.slots = m.slots();
+    ASSERT_TRUE(solver->setSource(source(1)));
+    engine.record();
+    engine.frames(12);
+  }
+  ASSERT_TRUE(fillMatrix(*solver, 0.2f));
+  engine.begin();
+  ASSERT_TRUE(solver->setSource(source(1.2f)));
+  engine.record();
+  engine.frames(12);
+  EXPECT_EQ(solver->dense()->rebuilds, 1u);
+  EXPECT_NE(solver->dense()->last_event.find("made the error grow"), std::string::npos) << solver->dense()->last_event;
+}
+
 // What is too small to make light wrong, or errors grow, only slows the steps down: only random vectors find that.
 TEST_F(VkDenseStep, TheProbeFindsDriftThatTheLightDoesNotShow) {
   const LocalMatrix m = closedBox(300, 0.8f, 5);

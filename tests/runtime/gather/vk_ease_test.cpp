@@ -98,8 +98,8 @@ TEST_F(VkEase, LightKeepsThePaceThatItKeepsOnTheCpu) {
       ASSERT_TRUE(solver->iterate(cut == 0 ? 300 : 1));
     }
     for (int frame = 0; frame < 12; ++frame) {
-      const float way_m = 0.4f * static_cast<float>(12 * static_cast<int>(cut) + frame);
-      const stream::Observer observers[] = {{{way_m, 1, 8}, {24, 0, 0}}, {{30, 1, 31 - way_m}, {0, 0, -24}}};
+      const float way_m = 0.1f * static_cast<float>(12 * static_cast<int>(cut) + frame);
+      const stream::Observer observers[] = {{{way_m, 1, 8}, {6, 0, 0}}, {{30, 1, 31 - way_m}, {0, 0, -6}}};
       pace.observers = std::span<const stream::Observer>(observers);
       std::vector<std::vector<Vec4>> light;
       for (Solver* const solver : solvers) {
