@@ -7,7 +7,7 @@ namespace {
 
 using stream::StripPtr;
 
-constexpr size_t kCrowd_percent = 40;  // of max_nodes: past it those that show least hurry, the more the less they show, so that few have to leave at once
+constexpr size_t kCrowd_percent = 50;  // of max_nodes: past it those that show least hurry, the more the less they show, so that few have to leave at once
 
 }  // namespace
 

@@ -15,10 +15,10 @@
 namespace ff::runtime {
 
 struct FadeSettings {
-  static constexpr uint32_t kFrames = 12;  // a good value
+  static constexpr uint32_t kFrames = 14;  // a good value
   uint32_t frames = 0;         // that light takes to follow a change of the cut, at least; 0: it does so at once, and tiles leave at once
   uint32_t max_nodes = 65536;  // of tiles that fade out; past it those that show least leave at once
-  float most_change = 0.012f;  // of the mean of what lies near: by so much a surface's light follows in a frame at most, if nobody will be there before; 0: no limit
+  float most_change = 0.011f;  // of the mean of what lies near: by so much a surface's light follows in a frame at most, if nobody will be there before; 0: no limit
 };
 
 // One thread calls. Nothing takes memory after the start.
