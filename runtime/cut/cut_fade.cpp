@@ -20,9 +20,9 @@ constexpr float kGone = 2;       // the way from where a tile leaves to where it
 constexpr float kAhead = 4, kLeastAhead = 2.6f;  // tiles on the way enter so much farther away at most, and at least: fast observers need more of a way
 constexpr float kEase = 0.25f;  // the way in which light follows
 
-// What an observer has of the way between two distances: a metre of it counts as the distance's cube. So what is seen as large changes slowly, and what lies twice as far away eight times as fast.
+// What an observer has of the way between two distances: a metre of it counts as the fourth power of the distance. So what is seen as large changes slowly.
 float shareOfWay(float from_m, float to_m, float at_m) {
-  const auto until = [](float m) { return m * m * m * m; };
+  const auto until = [](float m) { return m * m * m * m * m; };
   return (until(at_m) - until(from_m)) / (until(to_m) - until(from_m));
 }
 

@@ -1,5 +1,5 @@
 // Tiles fade in and out. What the nodes of one that enters show goes over from what their parents show to their own: its weight rises from 0 to 1 on the way from
-// where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it, a metre counting as the distance's cube. So what changes slowly is what an
+// where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it, a metre counting as the fourth power of the distance. So what changes slowly is what an
 // observer passes slowly, and what is seen large. How the light itself follows a new cut is the solver's (Solver::ease); how fast, by the observers' way too, is told here.
 #pragma once
 #include <array>

@@ -163,7 +163,7 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   constexpr float kRadius_m = 8;
   Flight slow(test, {.frames = kFrames}), fast(test, {.frames = kFrames});
   size_t between = 0, compared = 0;
-  std::map<formats::TileId, float> before, away_before, slope;  // slope: of a weight, by the fourth power of the distance
+  std::map<formats::TileId, float> before, away_before, slope;  // slope: of a weight, by the fifth power of the distance
   size_t even = 0;
   for (int step = 0; step < 200; ++step) {
     const Vec3 at{10 + 0.2f * static_cast<float>(step), 1, 30};
@@ -180,7 +180,7 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
       between += weight > 0 && weight < 1;
       const float nearer_m = away_before.contains(id) ? away_before[id] - away_m : 0;
       if (nearer_m > 0.1f && before.contains(id) && before[id] > 0 && weight < 1 && step_weight > 0.02f) {  // on its way in, and neither as fast nor as slowly as may be
-        const float now_slope = step_weight / (std::pow(away_before[id], 4.0f) - std::pow(away_m, 4.0f));
+        const float now_slope = step_weight / (std::pow(away_before[id], 5.0f) - std::pow(away_m, 5.0f));
         if (slope.contains(id)) {
           ASSERT_NEAR(now_slope, slope[id], 0.03f * slope[id]) << step << ": what is near changes more slowly, as it is seen larger";
           ++even;
