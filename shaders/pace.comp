@@ -56,7 +56,8 @@ void main() {
   if (subgroupElect()) parts[gl_SubgroupID] = part;
   barrier();
   if (gl_LocalInvocationID.x != 0u) return;
-  for (uint s = 1u; s < gl_NumSubgroups; ++s) part += parts[s];
+  part = vec2(0);
+  for (uint s = 0u; s < gl_NumSubgroups; ++s) part += parts[s];
   part /= tile_pace.loosened * tile_pace.loosened;  // the mean is over surfaces, of which near ones count most
   lights[gl_WorkGroupID.x] = PacedLight(part.x, part.y);
 }

@@ -20,6 +20,7 @@ void main() {
   if (subgroupElect()) parts[gl_SubgroupID] = part;
   barrier();
   if (gl_LocalInvocationID.x != 0u) return;
-  for (uint s = 1u; s < gl_NumSubgroups; ++s) part += parts[s];
+  part = vec2(0);
+  for (uint s = 0u; s < gl_NumSubgroups; ++s) part += parts[s];
   state.most = part.x > 0.0 ? pace.most_change * part.x / part.y : kNoLimit;
 }
