@@ -7,7 +7,7 @@ namespace {
 
 using stream::StripPtr;
 
-constexpr size_t kCrowd_percent = 40;  // of max_nodes: past it those that show least hurry, the more the less they show, so that few have to leave at once; little at first
+constexpr size_t kCrowd_percent = 50;  // of max_nodes: past it those that show least hurry, the more the less they show, so that few have to leave at once
 
 }  // namespace
 
@@ -77,9 +77,7 @@ void CutChoice::keepTheMost(std::span<const StripPtr> active) {
   for (const uint32_t k : order_) {
     nodes += leaving_[k].nodes;
     leaving_[k].kept = nodes <= room;
-    if (nodes <= crowd) continue;
-    const float full = std::min(static_cast<float>(nodes - crowd) / static_cast<float>(room - crowd), 1.0f);
-    leaving_[k].tile.hurry = full * full;
+    if (nodes > crowd) leaving_[k].tile.hurry = std::min(static_cast<float>(nodes - crowd) / static_cast<float>(room - crowd), 1.0f);
   }
 }
 
