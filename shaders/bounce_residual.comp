@@ -22,8 +22,6 @@ layout(std430, binding = 7) buffer Sums { StepSums sums[]; };
 shared vec4 parts[kBounceGroup];
 shared uint relit_parts[kBounceGroup];
 
-float largestOf(vec3 v) { return max(v.r, max(v.g, v.b)); }
-
 void main() {
   const uint i = gl_GlobalInvocationID.x;
   if (i < push.stride) {

@@ -5,6 +5,7 @@
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared.h"
+#include "sound.glsl"
 
 layout(local_size_x = kGatherGroup) in;
 layout(push_constant) uniform Push { EasePush push; };
@@ -12,8 +13,6 @@ layout(std430, binding = 0) buffer Held { vec4 held[]; };  // w: frames until it
 layout(std430, binding = 1) buffer Radiosity { vec4 radiosity[]; };
 layout(std430, binding = 2) readonly buffer Paces { TilePace paces[]; };  // by slot
 layout(std430, binding = 3) buffer State { EaseState state; };
-
-float largestOf(vec3 v) { return max(v.r, max(v.g, v.b)); }
 
 vec4 released(vec4 h, uint slot) {
   h.w = min(h.w, float(push.frames));

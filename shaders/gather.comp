@@ -32,8 +32,6 @@ layout(std430, binding = 8) buffer Faults { uint repaired; };
 #endif
 
 #ifdef HOLD
-float largestOf(vec3 v) { return max(v.r, max(v.g, v.b)); }
-
 // It is so much now. What has grown takes its full time again; the rest goes on, and takes no longer than that.
 vec4 heldBack(vec3 light, vec4 so_far) {
   if (!isSound(light)) return vec4(0);

@@ -11,13 +11,13 @@ constexpr float kMaxFrames = 480;      // of a tile, where nobody comes nearer o
 constexpr float kMaxEaseFrames = 120;  // of light, likewise
 constexpr float kHeadingFrames = 30;   // of an observer's mean velocity
 constexpr float kStraight = 0.87f;     // cosine: who goes farther off that turns
-constexpr float kAhead_seconds = 1.4f;  // and between these two so long before they have to
 constexpr float kFades = 1.2f;         // so many times the frames that light takes it has, until it has to have followed
 // Of a level's radius:
 constexpr float kAtHand = 0.8f;  // nearer, a tile shows what it is
 constexpr float kGone = 2;       // the way from where a tile leaves to where it shows nothing of its own
 // Of level 0's radius:
 constexpr float kAhead = 4, kLeastAhead = 2.6f;  // tiles on the way enter so much farther away at most, and at least: fast observers need more of a way
+constexpr float kAhead_seconds = 1.4f;           // and between these two so long before they have to
 constexpr float kEase = 0.25f;  // the way in which light follows
 
 // What an observer has of the way between two distances: a metre of it counts as the fourth power of the distance. So what is seen as large changes slowly.

@@ -12,8 +12,7 @@ PackedShape packedShape(const stream::ResidentStrip& strip, size_t partners) {
   PackedShape shape;
   shape.pages_at = 2 * (nodes + 1) + shaders::kNodeWords * nodes + strip.run_start[nodes];
   shape.words_at = shape.pages_at + static_cast<uint32_t>(partners);
-  shape.place_at = shape.words_at + (strip.row_start[nodes] + 1) / 2;
-  shape.words = shape.place_at + shaders::kPlaceWords;
+  shape.words = shape.words_at + (strip.row_start[nodes] + 1) / 2 + shaders::kPlaceWords;
   return shape;
 }
 

@@ -11,7 +11,7 @@ namespace ff::runtime {
 
 // Where what of a tile lies, in words of 32 bits from its first.
 struct PackedShape {
-  uint32_t pages_at = 0, words_at = 0, place_at = 0, words = 0;  // words: of all of it
+  uint32_t pages_at = 0, words_at = 0, words = 0;  // words: of all of it
 };
 PackedShape packedShape(const stream::ResidentStrip& strip, size_t partners);
 // Writes that many words. bounds: of the tile. partner_pages: numbers of its partners' pages.

@@ -109,7 +109,6 @@ bool GatherLayout::place(Tile& tile) {
   const PackedShape shape = packedShape(strip, tile.partner_pages.size());
   tile.pages_at = shape.pages_at;
   tile.words_at = shape.words_at;
-  tile.place_at = shape.place_at;
   tile.packed_words = shape.words;
   tile.entry_vectors = (words + shaders::kEntriesPerLoad - 1) / shaders::kEntriesPerLoad + nodes;
   const auto packed_at = packed_.allocate(tile.packed_words, 1);

@@ -25,7 +25,7 @@ class GatherLayout {
     uint64_t packed_at = 0, packed_words = 0;
     uint64_t entries_at = 0, entry_vectors = 0;
     uint32_t segment = 0;
-    uint32_t pages_at = 0, words_at = 0, place_at = 0;  // words from packed_at
+    uint32_t pages_at = 0, words_at = 0;  // words from packed_at
     bool placed = false;                  // by the last update(): its packed words must be written
     bool entered = false;                 // was not there before the last update()
   };

@@ -556,7 +556,7 @@ void VulkanGather::listSpans() {
     const GatherLayout::Tile& tile = layout_.tiles()[t];
     if (tile.range.id.level != level) levels_.push_back({static_cast<uint32_t>(span_list_.size()), 0, 0});
     level = tile.range.id.level;
-    add(tile.range.first_slot, tile.range.nodes, static_cast<uint32_t>(tile.packed_at) + tile.place_at);
+    add(tile.range.first_slot, tile.range.nodes, static_cast<uint32_t>(tile.packed_at + tile.packed_words) - shaders::kPlaceWords);
   }
   if (!levels_.empty() && m.parent_slot[m.tiles.back().first_slot] == kNoSlot) levels_.pop_back();  // the top level has no parents
   if (m.ambient_slot == kNoSlot && !m.places.empty()) paced_tiles_ = static_cast<uint32_t>(span_list_.size());
