@@ -84,7 +84,7 @@ Result<void> check(const FormfieldWorldSettings& s) {
   if (s.dense_places == 0 || s.dense_places > kMaxPlaces)
     return usageError("dense_places", "are not between 1 and " + std::to_string(kMaxPlaces), "4096 take 100 MiB in 16 bits");
   if (s.fade_frames > 600) return usageError("fade_frames", "are more than 600", "14 is a good value");
-  if (!(s.fade_change >= 0 && s.fade_change <= 1e6f)) return usageError("fade_change", "is no number from 0 to 1e6", "0.011 is a good value");
+  if (!(s.fade_change >= 0 && s.fade_change <= 1e6f)) return usageError("fade_change", "is no number from 0 to 1e6", "0.01 is a good value");
   if (s.logged_frames > (1u << 20)) return usageError("logged_frames", "are more than a million");
   if (!(s.reload_seconds >= 0 && s.reload_seconds <= 1e6f)) return usageError("reload_seconds", "is not between 0 and 1e6", "1 is a good value, 0 turns it off");
   if (s.probes > (1u << 20)) return usageError("probes", "are more than a million");

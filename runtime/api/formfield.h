@@ -109,7 +109,7 @@ typedef struct FormfieldWorldSettings {
                                   baked again that is taken up, as by formfieldReload; 0, the default: only formfieldReload does */
   float fade_change;           /* of the mean of what surfaces near observers reflect: by no more does a surface's light follow, in a frame, what fade_frames hold back, twice the radius
                                   away or nearer, and farther away by so much times the cube of the distance, and of the surface's own light on top; but where an observer would be there before, it follows
-                                  sooner. 0.011; 0: no limit. The seed baseline follows at once */
+                                  sooner. 0.01; 0: no limit. The seed baseline follows at once */
 } FormfieldWorldSettings;
 
 /* Good values for a world of 1 m patches. */

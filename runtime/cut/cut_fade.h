@@ -1,6 +1,7 @@
 // Tiles fade in and out. What the nodes of one that enters show goes over from what their parents show to their own: its weight rises from 0 to 1 on the way from
-// where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it, a metre counting as the fourth power of the distance. So what changes slowly is what an
-// observer passes slowly, and what is seen large. How the light itself follows a new cut is the solver's (Solver::ease); how fast, by the observers' way too, is told here.
+// where it entered to where it is at hand. One that is wanted no more stays in the cut for a while and goes back on the way that leads away from it. A metre of both ways counts as the
+// fourth power of the distance, so that what changes slowly is what an observer passes slowly, and what is seen large. How the light itself follows a new cut is the solver's
+// (Solver::ease); how fast, by the observers' way too, is told here.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -18,7 +19,7 @@ struct FadeSettings {
   static constexpr uint32_t kFrames = 14;  // a good value
   uint32_t frames = 0;         // that light takes to follow a change of the cut, at least; 0: it does so at once, and tiles leave at once
   uint32_t max_nodes = 65536;  // of tiles that fade out; past it those that show least leave at once
-  float most_change = 0.011f;  // of the mean of what lies near: by so much a surface's light follows in a frame at most, if nobody will be there before; 0: no limit
+  float most_change = 0.01f;  // of the mean of what lies near: by so much a surface's light follows in a frame at most, if nobody will be there before; 0: no limit
 };
 
 // One thread calls. Nothing takes memory after the start.

@@ -38,7 +38,7 @@ struct LightPace {
     return way;
   }
 
-  static constexpr float kFewestFrames = 30;  // what is due takes so many at least
+  static constexpr float kFewestFrames = 36;  // what is due takes so many at least
 
  private:
   // By the observers' straight ways; infinity: never.

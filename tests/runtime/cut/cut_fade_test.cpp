@@ -27,8 +27,8 @@ TEST(LightPace, IsLooserBeyondWhatIsNearAndLeavesNothingToWhoArrives) {
   EXPECT_NEAR(pace.of(0, at(20)).loosened, 1, 1e-5f);
   EXPECT_NEAR(pace.of(0, at(40)).loosened, 8, 1e-4f);
   EXPECT_NEAR(pace.of(0, at(57)).due, 1 / 50.0f, 1e-4f);  // 1 m a frame, and 50 are left until it is at hand
-  EXPECT_NEAR(pace.of(0, at(17)).due, 1 / 30.0f, 1e-4f);
-  EXPECT_NEAR(pace.of(0, at(7)).due, 1 / 30.0f, 1e-4f);
+  EXPECT_NEAR(pace.of(0, at(17)).due, 1 / 36.0f, 1e-4f);
+  EXPECT_NEAR(pace.of(0, at(7)).due, 1 / 36.0f, 1e-4f);
   EXPECT_EQ(pace.of(0, at(-30)).due, 0) << "behind";
   EXPECT_EQ(pace.of(1, at(1)).due, 0) << "finer ones will be there";
   EXPECT_NEAR(pace.of(2, at(1)).loosened, 1, 1e-5f);
@@ -40,7 +40,7 @@ TEST(LightPace, IsLooserBeyondWhatIsNearAndLeavesNothingToWhoArrives) {
   EXPECT_NEAR(pace.of(0, aside(57, 9)).due, 1 / 41.0f, 1e-4f);  // 2 m a frame, and 82 are left
   pace.observers = stream::Observer{{}, {}};
   EXPECT_EQ(pace.of(0, at(17)).due, 0) << "at rest";
-  EXPECT_NEAR(pace.of(0, at(5)).due, 1 / 30.0f, 1e-4f);
+  EXPECT_NEAR(pace.of(0, at(5)).due, 1 / 36.0f, 1e-4f);
 }
 
 TEST(CutFade, LightFollowsAndTilesAreWantedByTheWayOfTheFastestObserver) {
@@ -202,6 +202,32 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   for (const auto& [id, weight] : slow.weights()) ASSERT_EQ(weight, 1);
   EXPECT_EQ(slow.updater.fade().easeFrames(), 120u) << "nothing has come late, and nobody says how fast he is";
   EXPECT_EQ(slow.updater.matrix().tiles.size(), slow.streamer->active().size());
+}
+
+TEST(CutFade, TilesThatLeaveHaveGoneAfterTheSameWayWhateverTheirLevel) {
+  const TestWorld test(kWorld);
+  constexpr float kStep_m = 0.2f, kWay_m = 2 * 8;
+  Flight flight(test, {.frames = 3});
+  std::map<formats::TileId, float> left_at_m, gone_at_m;  // how far the observer was
+  for (float x = 2; x < 62; x += kStep_m) {
+    const Vec3 at{x, 1, 30};
+    flight.frame(at);
+    for (const auto& [id, weight] : flight.weights()) {
+      const float away_m = test.world().tiles(id.level)[id.tile].bounds.distance(at);
+      const bool active = std::ranges::any_of(flight.streamer->active(), [&](const stream::StripPtr& strip) { return strip->id == id; });
+      if (active && weight == 1) left_at_m[id] = away_m;
+      if (!active && left_at_m.contains(id)) gone_at_m[id] = away_m;
+    }
+  }
+  std::map<uint32_t, float> longest_m;  // by level
+  for (const auto& [id, away_m] : gone_at_m) longest_m[id.level] = std::max(longest_m[id.level], away_m - left_at_m[id]);
+  ASSERT_GE(longest_m.size(), 3u);
+  for (const auto& [level, way_m] : longest_m) {
+    EXPECT_LE(way_m, kWay_m + 3 * kStep_m) << "level " << level;
+    if (level < 2) {  // the world ends before coarser ones have gone
+      EXPECT_GE(way_m, kWay_m - 3 * kStep_m) << "level " << level;
+    }
+  }
 }
 
 TEST(CutFade, WhatComesLateOrIsWaitedForShowsItsOwnAtOnce) {
