@@ -33,9 +33,11 @@ FrameLog::Times FrameLog::times() {
   if (frames_.empty()) return {};
   scratch_.clear();
   for (const Frame& frame : frames_) scratch_.push_back(frame.stream_ms + frame.matrix_ms + frame.rest_ms);
-  std::ranges::sort(scratch_);
-  const auto at = [&](double share) { return static_cast<double>(scratch_[std::min(scratch_.size() - 1, static_cast<size_t>(share * static_cast<double>(scratch_.size())))]); };
-  return {at(0.5), at(0.99), static_cast<double>(scratch_.back())};
+  const auto rank = [&](double share) { return static_cast<ptrdiff_t>(share * static_cast<double>(scratch_.size())); };
+  const auto p50 = scratch_.begin() + rank(0.5), p99 = scratch_.begin() + rank(0.99);
+  std::ranges::nth_element(scratch_, p99);
+  std::ranges::nth_element(scratch_.begin(), p50, p99);  // the same one where there are few
+  return {*p50, *p99, *std::max_element(p99, scratch_.end())};
 }
 
 std::string FrameLog::trace() const {
