@@ -104,6 +104,8 @@ struct FormfieldWorld_T {
     ff::Result<void> update(const ff::runtime::LocalMatrix& m, const ff::runtime::MatrixChange& c) override {
       return now().update(m, c);
     }
+    // Asked before there is a solver, too, and by the thread that opens a re-bake. (The seed does not; it is a baseline.)
+    bool resolvesRows() const override { return world.device.records(); }
     ff::Result<void> setSource(std::span<const ff::runtime::Vec4> source) override { return now().setSource(source); }
     ff::Result<void> setEnteredSource(std::span<const ff::runtime::Vec4> source, const ff::runtime::MatrixChange& c, bool stays) override {
       return now().setEnteredSource(source, c, stays);
@@ -111,7 +113,7 @@ struct FormfieldWorld_T {
     // A frame is being recorded, and update() has not just fallen back: nothing waits for the device.
     bool records() const { return world.recording && !world.solver.fellBack(); }
     ff::Result<void> setRadiosity(std::span<const ff::runtime::Vec4> b) override {
-      if (records()) world.solver.recording->goOnFrom(b);
+      if (world.recording) world.solver.recording->goOnFrom(b);
       return now().setRadiosity(b);
     }
     void ease(uint32_t frames) override { now().ease(frames); }

@@ -15,38 +15,40 @@ namespace {
 using namespace ff;
 using namespace ff::runtime;
 
-// One world's frames in the caller's command buffers, and their light on its way back.
+// One world's frames in the caller's command buffers, and their light on its way back: it is looked at where somebody asks.
 class VulkanRecording final : public Recording {
  public:
   // room: slots that the recorder has room for; max_slots: of any cut, of a larger re-bake too, which the recorder refuses.
   static Result<std::unique_ptr<VulkanRecording>> create(VkContext& context, VulkanRecorder& recorder, uint32_t frames, uint32_t room, uint32_t max_slots) {
-    auto buffer = Buffer::create(context, uint64_t{frames} * room * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+    auto buffer = Buffer::create(context, (uint64_t{frames} + 1) * room * sizeof(Vec4), VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                                  MemoryUse::kHost);
     if (!buffer) return buffer.error();
     return std::unique_ptr<VulkanRecording>(new VulkanRecording(recorder, std::move(*buffer), frames, room, max_slots));
   }
 
   Result<void> frame(FormfieldWorld_T& world, VkCommandBuffer commands, const stream::Observers& observers) {
-    const Region arrived = regions_[records_ % regions_.size()];  // of the record frames_in_flight ago, which is done
     commands_ = commands;
     world_ = &world;
     world.recording = true;
     auto stepped = world.step(observers);
     world.recording = false;
     if (!stepped) return stepped;
-    const LocalMatrix& matrix = world.updater().matrix();
-    if (world.frame_stats.matrix_changed)
-      for (const uint32_t t : world.updater().change().entered)
-        entered_[matrix.tiles[t].first_slot] = records_;
-    if (world.solver.fellBack()) {
-      readBack(world, {});
+    const bool fell_back = world.solver.fellBack();
+    if (fell_back)
+      lastSeen(reflected_);
+    else
+      arrived_ = regions_[(records_ + 1) % regions_.size()];  // of the record frames_in_flight ago, which is done
+    if (fell_back || arrived_.record < anew_) arrived_ = {};
+    enter(world);
+    if (fell_back) {
       if (auto set = world.solver.solver->setRadiosity(reflected_); !set) return set;
       if (auto read = world.readRadiosity(); !read) return read;
       world.logFrame(world.frame_stats.steps_ms);
       return {};
     }
-    readBack(world, arrived);
-    recordReadBack(matrix.slots());
+    recordReadBack(world.updater().matrix().slots());
+    world.unseen = FormfieldWorld_T::Unseen::kRecorded;
+    world.residual_unseen = false;
     world.residual = recorder_.residual();
     ++records_;
     world.logFrame(0);  // the steps run on the device
@@ -58,11 +60,12 @@ class VulkanRecording final : public Recording {
     return recorder_.record(commands_, iterations);
   }
   void lastSeen(std::span<Vec4> reflected) const override {
-    std::copy_n(reflected_.begin(), std::min(reflected_.size(), reflected.size()), reflected.begin());
+    for (uint32_t slot = 0; slot < std::min(reflected_.size(), reflected.size()); ++slot) reflected[slot] = lastSeenOf(slot);
   }
   void goOnFrom(std::span<const Vec4> reflected) override {
     reflected_.assign(reflected.begin(), reflected.end());
     anew_ = records_;
+    arrived_ = {};
   }
   const VulkanRecorder& recorder() const { return recorder_; }
 
@@ -72,35 +75,39 @@ class VulkanRecording final : public Recording {
     uint32_t slots = 0;  // 0: nothing was recorded there
   };
   VulkanRecording(VulkanRecorder& recorder, Buffer buffer, uint32_t frames, uint32_t room, uint32_t max_slots)
-      : recorder_(recorder), buffer_(std::move(buffer)), room_(room), regions_(frames), entered_(max_slots) {
+      : recorder_(recorder), buffer_(std::move(buffer)), room_(room), regions_(frames + 1), entered_(max_slots) {
     reflected_.reserve(max_slots);
   }
 
-  uint64_t offset() const { return records_ % regions_.size() * room_ * sizeof(Vec4); }
+  std::byte* at(uint64_t record) const { return buffer_.mapped() + offset(record); }
+  uint64_t offset(uint64_t record) const { return record % regions_.size() * room_ * sizeof(Vec4); }
+  Vec4 lastSeenOf(uint32_t slot) const {
+    if (slot >= arrived_.slots || entered_[slot] > arrived_.record) return reflected_[slot];
+    Vec4 b;
+    std::memcpy(&b, at(arrived_.record) + slot * sizeof(Vec4), sizeof(b));
+    return b;
+  }
 
-  // Tiles that have entered since start from their parents, as on the device. What surfaces emit is that of now. Records from before
-  // slots were given out anew say nothing of these: until younger ones arrive they stay as they were carried over.
-  void readBack(FormfieldWorld_T& world, const Region& arrived) {
+  // Tiles that enter start from their parents, as on the device.
+  void enter(const FormfieldWorld_T& world) {
     const LocalMatrix& matrix = world.updater().matrix();
-    const bool fresh = arrived.slots > 0 && arrived.record >= anew_;
     reflected_.resize(matrix.slots());
-    if (fresh) std::memcpy(reflected_.data(), buffer_.mapped() + offset(), std::min(arrived.slots, matrix.slots()) * sizeof(Vec4));
-    for (size_t t = anew_ < records_ ? matrix.tiles.size() : 0; t-- > 0;) {  // parents first
+    if (!world.frame_stats.matrix_changed) return;
+    const bool eased = world.updater().fade().frames() > 0;
+    for (const uint32_t t : world.updater().change().entered) {  // parents first
       const SlotRange& range = matrix.tiles[t];
-      if (fresh ? entered_[range.first_slot] <= arrived.record : entered_[range.first_slot] != records_) continue;
-      const bool eased = world.updater().fade().frames() > 0;
       for (uint32_t slot = range.first_slot; slot < range.first_slot + range.nodes; ++slot) {
+        entered_[slot] = records_;
+        if (anew_ == records_) continue;  // it is as it was carried over
         const uint32_t parent = matrix.parent_slot[slot];
-        const Vec4 b = parent != kNoSlot ? reflected_[parent] : Vec4{};
+        const Vec4 b = parent != kNoSlot ? lastSeenOf(parent) : Vec4{};
         reflected_[slot] = parent != kNoSlot && eased ? onAlbedo(b, matrix.albedo[parent], matrix.albedo[slot], b) : b;
       }
     }
-    world.unseen = FormfieldWorld_T::Unseen::kRecorded;
-    world.residual_unseen = false;
   }
 
   void recordReadBack(uint32_t slots) {
-    const VkBufferCopy copy{0, offset(), slots * sizeof(Vec4)};
+    const VkBufferCopy copy{0, offset(records_), slots * sizeof(Vec4)};
     vkCmdCopyBuffer(commands_, recorder_.reflectedBuffer(), buffer_.handle(), 1, &copy);
     auto done = zeroed<VkMemoryBarrier>(VK_STRUCTURE_TYPE_MEMORY_BARRIER);
     done.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
@@ -113,9 +120,10 @@ class VulkanRecording final : public Recording {
   VulkanRecorder& recorder_;
   Buffer buffer_;
   const uint64_t room_;  // slots of a region: what the recorder has room for
-  std::vector<Region> regions_;
-  std::vector<Vec4> reflected_;    // by slot, as far as it has come back
-  std::vector<uint64_t> entered_;  // by a tile's first slot: the record in which it entered
+  std::vector<Region> regions_;  // by record: those in flight, and the last that has come back
+  Region arrived_;               // that one; of records from before slots were given out anew there is none
+  std::vector<Vec4> reflected_;    // by slot, where it entered after that: as its parent was then, or as it was carried over
+  std::vector<uint64_t> entered_;  // by slot: the record in which it entered
   ShownLight shown_;
   uint64_t records_ = 0;
   uint64_t anew_ = 0;                    // the first record with the slots of now

@@ -74,6 +74,7 @@ class Dense final : public DenseSolver {
     return {};
   }
 
+  bool resolvesRows() const override { return false; }
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
     if (held_.goesBefore()) hold();

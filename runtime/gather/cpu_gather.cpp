@@ -57,6 +57,7 @@ class CpuGather final : public Solver {
     return {};
   }
 
+  bool resolvesRows() const override { return false; }
   Result<void> setSource(std::span<const Vec4> source) override {
     FF_CHECK_EQ(source.size(), source_.size());
     if (held_.goesBefore()) hold();

@@ -24,8 +24,8 @@ class Solver {
   // each change of it. (The first call takes up the whole matrix.) Slots that stay keep their radiosity, nodes of tiles
   // that entered start from their parents' (those without one in the cut from zero); after change.renumbered all starts from zero.
   virtual Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) = 0;
-  // Whether it resolves rows itself, on a device: update() is quicker then where MatrixChange::packed is written.
-  virtual bool resolvesRows() const { return false; }
+  // Whether it resolves rows itself, on a device: update() is quicker then where MatrixChange::packed is written. (One that stands for another says what that one does.)
+  virtual bool resolvesRows() const = 0;
   // M per slot, W/m2. What is no sound light (sound_light.h) counts as 0. Refined and free slots' values are ignored.
   virtual Result<void> setSource(std::span<const Vec4> source) = 0;
   // The same after an update() that the solver has taken up, where only nodes that entered by it have other values than were given before. stays: they are as they are until the next

@@ -545,6 +545,7 @@ class Refusing final : public Solver {
   Result<void> update(const LocalMatrix& matrix, const MatrixChange& change) override {
     return updates-- > 0 ? refusal() : good_->update(matrix, change);
   }
+  bool resolvesRows() const override { return good_->resolvesRows(); }
   Result<void> setSource(std::span<const Vec4> source) override { return sources-- > 0 ? refusal() : good_->setSource(source); }
   Result<void> setRadiosity(std::span<const Vec4> radiosity) override { return good_->setRadiosity(radiosity); }
   Result<void> iterate(int k) override {

@@ -223,6 +223,9 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     const uint64_t light_bytes = statsOf(world).uploaded_light_bytes - uploaded;
     const uint64_t all_slots = world->updater().matrix().slots();
     const bool cut_changed = world->frame_stats.matrix_changed, given_anew = cut_changed && world->updater().change().renumbered;
+    if (cut_changed && !given_anew) {
+      EXPECT_NE(world->updater().change().packed, nullptr) << "frame " << frame << " packs rows itself";
+    }
     if (frame == 0 || frame == kSwitch) {
       EXPECT_GE(light_bytes, all_slots * sizeof(Vec4)) << "frame " << frame;
     } else if (!given_anew && world->reloads == reloads) {  // sources and emission of what entered, and which tiles fade

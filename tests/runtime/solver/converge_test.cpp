@@ -14,6 +14,7 @@ class Halving final : public Solver {
  public:
   explicit Halving(float start = 0) : value_(start) {}
   Result<void> update(const LocalMatrix&, const MatrixChange&) override { return {}; }
+  bool resolvesRows() const override { return false; }
   Result<void> setSource(std::span<const Vec4>) override { return {}; }
   Result<void> setRadiosity(std::span<const Vec4>) override { return {}; }
   Result<void> iterate(int k) override {

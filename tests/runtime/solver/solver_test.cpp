@@ -445,6 +445,7 @@ TEST(Fallback, TheSolverThatFailsStaysUntilTheEndAndIsAskedNoMore) {
     Failing(int& calls, bool& gone) : calls_(calls), gone_(gone) {}
     ~Failing() override { gone_ = true; }
     Result<void> update(const LocalMatrix&, const MatrixChange&) override { return lost(); }
+    bool resolvesRows() const override { return false; }
     Result<void> setSource(std::span<const Vec4>) override { return lost(); }
     Result<void> setRadiosity(std::span<const Vec4>) override { return lost(); }
     Result<void> iterate(int) override { return lost(); }
@@ -482,6 +483,7 @@ class FailsLater final : public Solver {
  public:
   explicit FailsLater(int calls) : left_(calls), cpu_(makeCpuGather(1)) {}
   Result<void> update(const LocalMatrix& m, const MatrixChange& change) override { return call([&] { return cpu_->update(m, change); }); }
+  bool resolvesRows() const override { return cpu_->resolvesRows(); }
   Result<void> setSource(std::span<const Vec4> source) override { return call([&] { return cpu_->setSource(source); }); }
   Result<void> setEnteredSource(std::span<const Vec4> source, const MatrixChange& change, bool stays) override { return call([&] { return cpu_->setEnteredSource(source, change, stays); }); }
   Result<void> setRadiosity(std::span<const Vec4> b) override { return call([&] { return cpu_->setRadiosity(b); }); }
