@@ -1,6 +1,7 @@
 #include "runtime/cut/cut_fade.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace ff::runtime {
@@ -13,10 +14,10 @@ constexpr float kHeadingFrames = 30;   // of an observer's mean velocity
 constexpr float kStraight = 0.87f;     // cosine: who goes farther off that turns
 constexpr float kFades = 1.2f;         // so many times the frames that light takes it has, until it has to have followed
 constexpr float kAtHand = 0.8f;        // of a level's radius: nearer, a tile shows what it is
+constexpr float kGone = 2;             // of the geometric mean of level 0's radius and a level's: the way from where a tile leaves to where it shows nothing of its own
 // Of level 0's radius:
 constexpr float kAhead = 4, kLeastAhead = 2.6f;  // tiles on the way enter so much farther away at most, and at least: fast observers need more of a way
 constexpr float kAhead_seconds = 1.4f;           // and between these two so long before they have to
-constexpr float kGone = 2;      // the way from where a tile leaves, of whatever level, to where it shows nothing of its own
 constexpr float kEase = 0.25f;  // the way in which light follows
 
 // What an observer has of the way between two distances: a metre of it counts as the fourth power of the distance. So what is seen as large changes slowly.
@@ -99,7 +100,7 @@ void CutFade::advance(const stream::Observers& observers) {
 // What a tile shows of its own by the way that the nearest observer has come, or gone, since it began.
 float CutFade::due(const Fade& fade, float away_m) const {
   const float at_hand_m = kAtHand * radii_m_[fade.level];
-  if (fade.leaving) return 1 - shareOfWay(fade.began_at_m, fade.began_at_m + kGone * radii_m_[0], away_m);
+  if (fade.leaving) return 1 - shareOfWay(fade.began_at_m, fade.began_at_m + kGone * std::sqrt(radii_m_[0] * radii_m_[fade.level]), away_m);
   if (late(fade) || away_m <= at_hand_m) return 1;
   return shareOfWay(fade.began_at_m, at_hand_m, away_m);
 }

@@ -187,10 +187,10 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     return sum / static_cast<double>(slot_of.size());
   };
 
-  constexpr int kFrames = 640, kSwitch = 30, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
+  constexpr int kFrames = 1300, kSwitch = 30, kAnew = 40, kReload = 80;  // from the latter on slots are given out anew, when what was being put together is done
   double before = 0;
   bool anew = false;
-  uint64_t entered_nodes = 0;
+  uint64_t entered_nodes = 0, started = 0;
   for (int frame = 0; frame < kFrames; ++frame) {
     const int ring = frame % 2;
     if (frame >= 2) {
@@ -202,8 +202,9 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
     ASSERT_EQ(vkBeginCommandBuffer(commands[ring], &begin), VK_SUCCESS);
     for (uint32_t g = 0; frame == kSwitch && g < 2; ++g)  // a switch in mid-flight
       ASSERT_EQ(formfieldSetEmission(world, g, kScales[g]), FORMFIELD_OK);
-    // In from afar, then still: cuts change while frames are in flight.
-    const double at[3] = {std::max(16.0, 28 - 0.2 * frame), 1, 16};
+    // In from afar, once to and fro, then still: cuts change while frames are in flight.
+    const double aside = 0.1 * std::max(0, 60 - std::abs(frame - 160));
+    const double at[3] = {std::max(16.0, 28 - 0.2 * frame) + aside, 1, 16};
     if (frame == kReload) {  // a re-bake, of the same bytes, with frames in flight
       before = meanLight();
       ASSERT_EQ(formfieldReload(world), FORMFIELD_OK);
@@ -234,6 +235,19 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
       EXPECT_LE(light_bytes, 2 * nodes * sizeof(Vec4) + world->updater().matrix().tiles.size() * sizeof(shaders::FadingSlots)) << "frame " << frame;
       entered_nodes += nodes;
     }
+    for (size_t i = 0; cut_changed && !given_anew && world->reloads == reloads && i < world->updater().change().entered.size(); ++i) {
+      const LocalMatrix& m = world->updater().matrix();
+      const SlotRange& range = m.tiles[world->updater().change().entered[i]];
+      std::vector<Vec4> seen(m.slots());
+      world->solver.recording->lastSeen(seen);
+      for (uint32_t slot = range.first_slot; frame > 0 && slot < range.first_slot + range.nodes; ++slot) {
+        const uint32_t parent = m.parent_slot[slot];
+        if (parent == kNoSlot) continue;
+        const Vec4 start = onAlbedo(seen[parent], m.albedo[parent], m.albedo[slot], seen[parent]);
+        ASSERT_NEAR(seen[slot].y, start.y, 1e-5f * (1 + start.y)) << "frame " << frame << ": a node that enters starts from its parent";
+        started += start.y > 0;
+      }
+    }
     anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater().change().renumbered);
     EXPECT_TRUE(frame != kAnew + 2 || anew);
     EXPECT_EQ(world->reloads, frame < kReload ? 0u : 1u);
@@ -251,6 +265,7 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
   }
   ASSERT_EQ(vkDeviceWaitIdle(device), VK_SUCCESS);
   EXPECT_GT(entered_nodes, 0u);
+  EXPECT_GT(started, 0u);
   EXPECT_EQ(formfieldRadiosityBuffer(world), buffer);
   // The device's own buffer holds the same, emission included.
   uint32_t used = 0, tiles = 0;

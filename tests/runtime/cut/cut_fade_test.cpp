@@ -204,9 +204,9 @@ TEST(CutFade, TilesShowMoreOfTheirOwnWithEachStepTowardsThemAndLessWithEachStepA
   EXPECT_EQ(slow.updater.matrix().tiles.size(), slow.streamer->active().size());
 }
 
-TEST(CutFade, TilesThatLeaveHaveGoneAfterTheSameWayWhateverTheirLevel) {
+TEST(CutFade, TilesThatLeaveHaveGoneAfterAWayThatGrowsAsTheRootOfTheirRadius) {
   const TestWorld test(kWorld);
-  constexpr float kStep_m = 0.2f, kWay_m = 2 * 8;
+  constexpr float kStep_m = 0.2f;
   Flight flight(test, {.frames = 3});
   std::map<formats::TileId, float> left_at_m, gone_at_m;  // how far the observer was
   for (float x = 2; x < 62; x += kStep_m) {
@@ -223,9 +223,10 @@ TEST(CutFade, TilesThatLeaveHaveGoneAfterTheSameWayWhateverTheirLevel) {
   for (const auto& [id, away_m] : gone_at_m) longest_m[id.level] = std::max(longest_m[id.level], away_m - left_at_m[id]);
   ASSERT_GE(longest_m.size(), 3u);
   for (const auto& [level, way_m] : longest_m) {
-    EXPECT_LE(way_m, kWay_m + 3 * kStep_m) << "level " << level;
+    const float expected_m = 2 * std::sqrt(8 * flight.streamer->radii()[level]);
+    EXPECT_LE(way_m, expected_m + 3 * kStep_m) << "level " << level;
     if (level < 2) {  // the world ends before coarser ones have gone
-      EXPECT_GE(way_m, kWay_m - 3 * kStep_m) << "level " << level;
+      EXPECT_GE(way_m, expected_m - 3 * kStep_m) << "level " << level;
     }
   }
 }
