@@ -33,19 +33,18 @@ class VulkanRecording final : public Recording {
     auto stepped = world.step(observers);
     world.recording = false;
     if (!stepped) return stepped;
-    const bool fell_back = world.solver.fellBack();
-    if (fell_back)
+    if (world.solver.fellBack()) {
       lastSeen(reflected_);
-    else
-      arrived_ = regions_[(records_ + 1) % regions_.size()];  // of the record frames_in_flight ago, which is done
-    if (fell_back || arrived_.record < anew_) arrived_ = {};
-    enter(world);
-    if (fell_back) {
+      arrived_ = {};
+      enter(world);
       if (auto set = world.solver.solver->setRadiosity(reflected_); !set) return set;
       if (auto read = world.readRadiosity(); !read) return read;
       world.logFrame(world.frame_stats.steps_ms);
       return {};
     }
+    arrived_ = regions_[(records_ + 1) % regions_.size()];  // of the record frames_in_flight ago, which is done
+    if (arrived_.record < anew_) arrived_ = {};
+    enter(world);
     recordReadBack(world.updater().matrix().slots());
     world.unseen = FormfieldWorld_T::Unseen::kRecorded;
     world.residual_unseen = false;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <ctime>
 
 #include "formats/read/whole_world.h"
 #include "tools/chart/neighbourhood.h"
@@ -17,12 +16,6 @@ constexpr std::array kDistances_m{6, 12, 24, 48, 96};
 // Of its sky, a floor in a street sees between these, one in a room less; roofs and fields see more. (Cosine-weighted.)
 constexpr float kRoomSky = 0.02f, kStreetSky = 0.6f;
 constexpr float kStep_m = 0.5f;  // a frame, at 30 m/s and 60 frames a second
-
-double threadMs() {
-  timespec now;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
-}
 
 std::unique_ptr<stream::Streamer> streamerOf(const formats::WholeWorld& world, const CutSettings& s, float hysteresis) {
   return orExit(stream::Streamer::create(

@@ -3,13 +3,10 @@
 #include <vulkan/vulkan.h>
 
 #include <CLI/CLI.hpp>
-#include <algorithm>
-#include <ctime>
 
 #include "runtime/api/formfield_vulkan.h"
 #include "runtime/vulkan/context.h"
 #include "runtime/vulkan/device.h"
-#include "runtime/vulkan/handle.h"
 #include "tests/bench/truth.h"
 
 namespace {
@@ -25,20 +22,6 @@ void orExit(FormfieldResult result, FormfieldDevice device) {
   std::exit(result);
 }
 
-void orExit(VkResult result) {
-  if (result == VK_SUCCESS) return;
-  std::cerr << "ff_bench_record: Vulkan error " << result << "\n";
-  std::exit(2);
-}
-
-double threadMs() {
-  timespec now;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
-}
-
-double quantile(const std::vector<double>& sorted, double share) { return sorted[std::min(sorted.size() - 1, static_cast<size_t>(share * static_cast<double>(sorted.size())))]; }
-
 struct Engine {
   Engine() : context(bench::orExit(runtime::openVulkan())) {
     FormfieldVulkanSettings s{};
@@ -47,43 +30,15 @@ struct Engine {
     s.physical_device = context->physicalDevice();
     s.device = context->device();
     s.queue_family = context->queueFamily();
-    vkGetDeviceQueue(s.device, s.queue_family, 0, &queue);
-    s.queue = queue;
+    vkGetDeviceQueue(s.device, s.queue_family, 0, &s.queue);
     orExit(formfieldCreateVulkanDevice(&s, &device), nullptr);
-    auto pool_info = runtime::zeroed<VkCommandPoolCreateInfo>(VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO);
-    pool_info.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
-    pool_info.queueFamilyIndex = s.queue_family;
-    orExit(vkCreateCommandPool(s.device, &pool_info, nullptr, &pool));
-    auto buffer_info = runtime::zeroed<VkCommandBufferAllocateInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO);
-    buffer_info.commandPool = pool;
-    buffer_info.commandBufferCount = 1;
-    orExit(vkAllocateCommandBuffers(s.device, &buffer_info, &commands));
   }
   Engine(const Engine&) = delete;
   Engine& operator=(const Engine&) = delete;
-  ~Engine() {
-    vkDestroyCommandPool(context->device(), pool, nullptr);
-    formfieldDestroyDevice(device);
-  }
-  void begin() {
-    auto info = runtime::zeroed<VkCommandBufferBeginInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO);
-    info.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    orExit(vkBeginCommandBuffer(commands, &info));
-  }
-  void runAndWait() {
-    orExit(vkEndCommandBuffer(commands));
-    auto submit = runtime::zeroed<VkSubmitInfo>(VK_STRUCTURE_TYPE_SUBMIT_INFO);
-    submit.commandBufferCount = 1;
-    submit.pCommandBuffers = &commands;
-    orExit(vkQueueSubmit(queue, 1, &submit, VK_NULL_HANDLE));
-    orExit(vkQueueWaitIdle(queue));
-  }
+  ~Engine() { formfieldDestroyDevice(device); }
 
   std::shared_ptr<runtime::VkContext> context;
   FormfieldDevice device = nullptr;
-  VkQueue queue = VK_NULL_HANDLE;
-  VkCommandPool pool = VK_NULL_HANDLE;
-  VkCommandBuffer commands = VK_NULL_HANDLE;
 };
 
 // Frames of a 60th of a second along x through the middle of the world.
@@ -100,13 +55,15 @@ void fly(const std::string& path, int frames, float speed_m_s) {
   stats.size = sizeof(stats);
   for (int frame = 0; frame < frames + kFirstFrames; ++frame) {
     const double at[3] = {static_cast<double>(bounds.lo.x + bounds.hi.x) / 2 - half_way_m + step_m * frame, 1.6, static_cast<double>(bounds.lo.z + bounds.hi.z) / 2};
-    engine.begin();
     const uint64_t uploaded_before = stats.uploaded_row_bytes + stats.uploaded_light_bytes;
-    const auto began = Clock::now();
-    const double cpu = threadMs();
-    orExit(formfieldRecord(world, engine.commands, at, velocity), engine.device);
-    const double thread_ms = threadMs() - cpu, ms = msSince(began);
-    engine.runAndWait();
+    double thread_ms = 0, ms = 0;
+    (void)bench::orExit(engine.context->run([&](VkCommandBuffer commands) {
+      const auto began = Clock::now();
+      const double cpu = threadMs();
+      orExit(formfieldRecord(world, commands, at, velocity), engine.device);
+      thread_ms = threadMs() - cpu;
+      ms = msSince(began);
+    }));
     orExit(formfieldGetStats(world, &stats), engine.device);
     if (frame < kFirstFrames) continue;
     wall_ms.push_back(ms);
@@ -119,7 +76,6 @@ void fly(const std::string& path, int frames, float speed_m_s) {
     if (!formfieldRadiosity(world, &slots)) orExit(FORMFIELD_ERROR_USAGE, engine.device);
     read_ms.push_back(msSince(reads));
   }
-  for (auto* times : {&wall_ms, &cpu_ms, &read_ms}) std::ranges::sort(*times);
   const std::string note = deviceName(*engine.context) + "; " + std::to_string(frames) + " frames at " + std::to_string(static_cast<int>(speed_m_s)) + " m/s, " + std::to_string(changes) + " changes of the cut, " +
                            std::to_string(stats.slots) + " slots; formfieldRecord as a whole";
   const auto printed = [&](const char* metric, double share, const std::string& what) {
@@ -129,7 +85,7 @@ void fly(const std::string& path, int frames, float speed_m_s) {
   printed("record.frame_p99_ms", 0.99, "; target 0.2");
   printed("record.frame_max_ms", 1, "; target 1");
   print("record.uploaded_bytes", static_cast<double>(uploaded) / frames, "B", NAN, note + ", to the device in a frame, mean", "vulkan");
-  print("record.read_ms", quantile(read_ms, 0.5), "ms", NAN, note + " not; formfieldRadiosity in every tenth frame, median", "vulkan");
+  print("record.read_ms", median(read_ms), "ms", NAN, note + " not; formfieldRadiosity in every tenth frame, median", "vulkan");
   formfieldCloseWorld(world);
 }
 

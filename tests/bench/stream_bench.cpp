@@ -8,7 +8,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <ctime>
 #include <fstream>
 #include <set>
 
@@ -53,12 +52,6 @@ struct Options {
   bool quick = false, day = false, warm = false, unhurried = false, in_frame = false, vulkan = false, stepped = false, own_core = false, real_time = false;
   int iterations() const { return solver == "gather" ? runtime::Updater::kAsLightNeeds : 1; }  // a frame, as the C interface does
 };
-
-double threadMs() {
-  timespec now;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
-}
 
 // Where the thread, and those that it starts, may run.
 enum class Cores { kAll, kFirst, kOthers };
@@ -168,12 +161,6 @@ runtime::Sky skyOf(const Options& options) {
   runtime::Sky sky;
   sky.l0 = options.day ? Vec3{1.1f, 1.4f, 1.9f} : Vec3{0.002f, 0.003f, 0.004f};
   return sky;
-}
-
-double quantile(std::vector<double>& values, double share) {
-  if (values.empty()) return 0;
-  std::sort(values.begin(), values.end());
-  return values[std::min(values.size() - 1, static_cast<size_t>(share * static_cast<double>(values.size())))];
 }
 
 // How many of many values are how large, to a hundredth. Takes no memory as it grows: a list of all grew to hundreds of MB, and frames stood still while it did.

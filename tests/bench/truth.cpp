@@ -1,6 +1,7 @@
 #include "tests/bench/truth.h"
 
 #include <algorithm>
+#include <ctime>
 #include <nlohmann/json.hpp>
 
 #include "bake/bake.h"
@@ -20,9 +21,16 @@ void print(const std::string& metric, double value, const char* unit, double lim
   std::cout << j.dump() << std::endl;
 }
 
-double median(std::vector<double>& values) {
+double threadMs() {
+  timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) * 1e3 + static_cast<double>(now.tv_nsec) * 1e-6;
+}
+
+double quantile(std::vector<double>& values, double share) {
+  if (values.empty()) return 0;
   std::sort(values.begin(), values.end());
-  return values[values.size() / 2];
+  return values[std::min(values.size() - 1, static_cast<size_t>(share * static_cast<double>(values.size())))];
 }
 
 std::string bakeTown(const std::filesystem::path& folder, bool quick, uint64_t patches, uint32_t rays) {

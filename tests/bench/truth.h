@@ -39,8 +39,12 @@ inline void orExit(const Result<void>& result) {
 void print(const std::string& metric, double value, const char* unit, double limit, const std::string& note,
            const std::string& backend = {});
 
-// The middle one; values is reordered.
-double median(std::vector<double>& values);
+// What the thread that calls has had of a core, ms.
+double threadMs();
+
+// So large at most is that share of the values, which are reordered; 0: there are none.
+double quantile(std::vector<double>& values, double share);
+inline double median(std::vector<double>& values) { return quantile(values, 0.5); }
 
 // Generates and bakes a voxel town into the folder; returns the world's path. quick: of 8000 patches.
 std::string bakeTown(const std::filesystem::path& folder, bool quick, uint64_t patches = 60'000, uint32_t rays = 4096);

@@ -235,18 +235,18 @@ TEST_P(FormfieldVulkanRecords, IntoTheCallersCommandBuffersOnTheCallersDevice) {
       EXPECT_LE(light_bytes, 2 * nodes * sizeof(Vec4) + world->updater().matrix().tiles.size() * sizeof(shaders::FadingSlots)) << "frame " << frame;
       entered_nodes += nodes;
     }
-    for (size_t i = 0; cut_changed && !given_anew && world->reloads == reloads && i < world->updater().change().entered.size(); ++i) {
+    if (frame > 0 && cut_changed && !given_anew && world->reloads == reloads) {
       const LocalMatrix& m = world->updater().matrix();
-      const SlotRange& range = m.tiles[world->updater().change().entered[i]];
       std::vector<Vec4> seen(m.slots());
       world->solver.recording->lastSeen(seen);
-      for (uint32_t slot = range.first_slot; frame > 0 && slot < range.first_slot + range.nodes; ++slot) {
-        const uint32_t parent = m.parent_slot[slot];
-        if (parent == kNoSlot) continue;
-        const Vec4 start = onAlbedo(seen[parent], m.albedo[parent], m.albedo[slot], seen[parent]);
-        ASSERT_NEAR(seen[slot].y, start.y, 1e-5f * (1 + start.y)) << "frame " << frame << ": a node that enters starts from its parent";
-        started += start.y > 0;
-      }
+      for (const uint32_t t : world->updater().change().entered)
+        for (uint32_t i = 0, slot = m.tiles[t].first_slot; i < m.tiles[t].nodes; ++i, ++slot) {
+          const uint32_t parent = m.parent_slot[slot];
+          if (parent == kNoSlot) continue;
+          const Vec4 start = onAlbedo(seen[parent], m.albedo[parent], m.albedo[slot], seen[parent]);
+          ASSERT_NEAR(seen[slot].y, start.y, 1e-5f * (1 + start.y)) << "frame " << frame << ": a node that enters starts from its parent";
+          started += start.y > 0;
+        }
     }
     anew = anew || (frame >= kAnew && frame <= kAnew + 2 && world->updater().change().renumbered);
     EXPECT_TRUE(frame != kAnew + 2 || anew);
